@@ -1,3 +1,28 @@
 """fracbench: fractional TV-L1 optical flow, and the harness that reproduces and checks arXiv:1512.01398."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fracbench.api import estimate_flow
+    from fracbench.model.estimator import FlowResult
+    from fracbench.model.params import FlowParams
+
 __version__ = "0.1.0"
+__all__ = ["FlowParams", "FlowResult", "__version__", "estimate_flow"]
+
+_HOMES = {
+    "estimate_flow": "fracbench.api",
+    "FlowResult": "fracbench.model.estimator",
+    "FlowParams": "fracbench.model.params",
+}
+
+
+def __getattr__(name: str) -> Any:
+    # Loaded on first use: the command line answers --help without the compiler's start-up time.
+    if name in _HOMES:
+        import importlib
+
+        return getattr(importlib.import_module(_HOMES[name]), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,0 +1,1 @@
+"""Sequences with known flow: Middlebury, rendered scenes, regions of them, and their files."""

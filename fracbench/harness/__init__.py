@@ -1,0 +1,1 @@
+"""From configuration to stored results: grid, plan, execution, store, regression."""

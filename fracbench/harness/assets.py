@@ -1,0 +1,42 @@
+"""Where the files beside the code are: at the top of a checkout, inside an installed package."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fracbench.errors import InputError
+
+_PACKAGE = Path(__file__).resolve().parents[1]
+
+
+def asset(relative: str) -> Path:
+    """Return the path of a folder or file that belongs to the project.
+
+    Parameters
+    ----------
+    relative : str
+        Path below the top of the checkout, e.g. ``"conf"`` or ``"results/published/table2.csv"``.
+
+    Returns
+    -------
+    Path
+        In the checkout the package is imported from, else in the installed package.
+
+    Raises
+    ------
+    InputError
+        If neither has it.
+    """
+    for root in (_PACKAGE.parent, _PACKAGE / "_assets"):
+        # A folder named conf beside site-packages would be somebody else's.
+        if (root / "pyproject.toml").is_file() or root.name == "_assets":
+            path = root / relative
+            if path.exists():
+                return path
+    raise InputError(f"{relative}: not found; the installation is incomplete")
+
+
+def checkout() -> Path | None:
+    """Return the top of the checkout the package is imported from, or None if it is installed."""
+    root = _PACKAGE.parent
+    return root if (root / "pyproject.toml").is_file() and (root / "conf").is_dir() else None

@@ -1,0 +1,279 @@
+"""From overrides to points: what is to be computed, under which key it is stored, and how it is labelled."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from fracbench.data.regions import Region, shifted
+from fracbench.data.sequence import list_sequences
+from fracbench.errors import InputError, unknown_name
+from fracbench.harness.config import GROUPS, RunConfig, group_options, known_keys, load_config
+from fracbench.harness.grid import MAX_POINTS, Axis, Grid, canonical_number, expand_names, parse_overrides
+from fracbench.harness.store import canonical_json
+from fracbench.model import SOLVER_VERSION
+
+
+@dataclass(frozen=True)
+class Point:
+    """One computation: everything its result depends on, and nothing else.
+
+    Attributes
+    ----------
+    method : str
+        Name in the registry.
+    params : mapping of str to str
+        The parameters the method uses; numbers as canonical decimals.
+    dataset, sequence : str
+        The data.
+    box : tuple of int or None
+        ``(row0, row1, col0, col1)``, half-open; None for the whole frame.
+    context : int
+        Pixels around the box that take part in the computation.
+    data_digest : str
+        SHA-256 of the data.
+    """
+
+    method: str
+    params: Mapping[str, str]
+    dataset: str
+    sequence: str
+    box: tuple[int, int, int, int] | None
+    context: int
+    data_digest: str
+
+    @property
+    def spec(self) -> dict[str, Any]:
+        """The canonical form, without the data's content."""
+        return {
+            "method": self.method,
+            "params": dict(self.params),
+            "dataset": self.dataset,
+            "sequence": self.sequence,
+            "box": None if self.box is None else list(self.box),
+            "context": self.context,
+        }
+
+    @property
+    def identity(self) -> str:
+        """SHA-256 of the canonical form alone."""
+        return _sha256(self.spec)
+
+    @property
+    def key(self) -> str:
+        """SHA-256 of the canonical form, the data and the solver's version: the key in the store."""
+        return _sha256({"spec": self.spec, "data": self.data_digest, "solver_version": SOLVER_VERSION})
+
+
+@dataclass(frozen=True)
+class PlannedPoint:
+    """A point and the names it goes by in tables: protocol and region are labels, not part of the key."""
+
+    point: Point
+    labels: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Points in the order of the grid.
+
+    Attributes
+    ----------
+    points : tuple of PlannedPoint
+        Distinct labels may share a point; it is computed once.
+    varying : tuple of str
+        Keys that take more than one value.
+    dataset : str
+        ``"middlebury"`` or ``"synthetic"``.
+    folder : Path or None
+        Where the Middlebury data are.
+    notices : tuple of str
+        What the user should be told.
+    config : RunConfig
+        Configuration of the first point, for settings that hold for all.
+    """
+
+    points: tuple[PlannedPoint, ...]
+    varying: tuple[str, ...]
+    dataset: str
+    folder: Path | None
+    config: RunConfig
+    notices: tuple[str, ...] = field(default=())
+
+    def unique(self) -> dict[str, Point]:
+        """Return the distinct points by key, in order."""
+        return {planned.point.key: planned.point for planned in self.points}
+
+
+def make_plan(tokens: Sequence[str], *, allow_download: bool = True) -> Plan:
+    """Expand overrides to points.
+
+    Parameters
+    ----------
+    tokens : sequence of str
+        Overrides in the grammar of `fracbench.harness.grid`.
+    allow_download : bool, optional
+        Whether missing Middlebury data may be downloaded.
+
+    Returns
+    -------
+    Plan
+        The points.
+
+    Raises
+    ------
+    InputError
+        Malformed overrides, unknown names, values out of range, data that cannot be had.
+    """
+    grid = _expand_globs(parse_overrides(tokens))
+    if grid.size > MAX_POINTS:
+        raise InputError(f"{' '.join(tokens)}: {grid.size} points are more than the limit of {MAX_POINTS}")
+    _check_keys(grid)
+    values = list(grid.points())
+    first = _configure(values[0])
+    resolved = _resolve_data(first, allow_download)
+    points: list[PlannedPoint] = []
+    for point_values in values:
+        config = _configure(point_values)
+        points.append(_planned(config, point_values, resolved.dataset, resolved.folder))
+    notices = [resolved.notice] if resolved.notice else []
+    notices += _idle_keys(grid.varying, points)
+    return Plan(tuple(points), grid.varying, resolved.dataset, resolved.folder, first, tuple(notices))
+
+
+def _expand_globs(grid: Grid) -> Grid:
+    def expand(axis: Axis) -> Axis:
+        key = axis.keys[0]
+        if len(axis.keys) > 1 or key not in ("region", "sequence", "method", "protocol"):
+            return axis
+        names = [value[0] for value in axis.values]
+        if key == "region" and names == ["none"]:
+            return axis
+        options = group_options(key)
+        if key == "sequence":
+            # `all` means the sequences of the paper, in its order; the scenes have to be named.
+            paper = [name.lower() for name in list_sequences("middlebury")]
+            options = paper if names == ["all"] else paper + [name for name in options if name not in paper]
+        return Axis(axis.keys, tuple((name,) for name in expand_names(names, options, key)))
+
+    return replace(grid, axes=tuple(expand(axis) for axis in grid.axes))
+
+
+def _check_keys(grid: Grid) -> None:
+    allowed = known_keys()
+    for axis in grid.axes:
+        for key in axis.keys:
+            if key.removeprefix("params.") not in allowed:
+                raise unknown_name("key", key, allowed)
+
+
+def _configure(values: Mapping[str, str]) -> RunConfig:
+    choices = {key: value for key, value in values.items() if key in GROUPS}
+    rest = {key: value for key, value in values.items() if key not in GROUPS}
+    return load_config(choices).override(rest)
+
+
+def _resolve_data(config: RunConfig, allow_download: bool) -> Any:
+    from fracbench.data import middlebury
+
+    dataset = "synthetic" if config.sequence.dataset == "synthetic" else config.dataset
+    return middlebury.resolve(dataset, config.data, allow_download)
+
+
+def _planned(config: RunConfig, values: Mapping[str, str], dataset: str, folder: Path | None) -> PlannedPoint:
+    name, region = config.sequence.name, config.region
+    if config.sequence.dataset == "synthetic":
+        dataset = "synthetic"
+    elif dataset == "synthetic":
+        if config.sequence.stand_in is None:
+            raise InputError(f"sequence {config.sequence.key!r} has no synthetic stand-in")
+        name, region = config.sequence.stand_in, None
+    point = Point(
+        method=config.method.name,
+        params=canonical_params(config),
+        dataset=dataset,
+        sequence=name,
+        box=_box(region, config.shift, name),
+        context=config.context if region else 0,
+        data_digest=_digest(name, dataset, folder),
+    )
+    labels = {
+        "dataset": dataset,
+        "sequence": config.sequence.key if dataset == "middlebury" else f"synthetic_{name}",
+        "region": config.region.name if config.region else "",
+        "method": config.method.name,
+        "protocol": config.protocol,
+        "context": str(point.context),
+    }
+    if config.shift is not None:
+        labels["shift"] = str(config.shift)
+    return PlannedPoint(point, labels)
+
+
+def canonical_params(config: RunConfig) -> dict[str, str]:
+    """Return the parameters a configuration's method depends on, as canonical strings.
+
+    Parameters
+    ----------
+    config : RunConfig
+        The configuration.
+
+    Returns
+    -------
+    dict of str to str
+        Sorted by name; numbers as decimals, never as floats.
+    """
+    params = config.params.as_dict()
+    return {name: canonical_value(params[name]) for name in sorted(config.method.uses)}
+
+
+def canonical_value(value: Any) -> str:
+    """Return the one spelling of a parameter's value: decimals, ``true``, ``none`` or the word itself."""
+    if value is None:
+        return "none"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, int | float):
+        return canonical_number(repr(value)) or repr(value)
+    return str(value)
+
+
+def _box(region: Region | None, shift: int | None, sequence: str) -> tuple[int, int, int, int] | None:
+    if region is None:
+        return None
+    if shift is not None:
+        from fracbench.data.middlebury import SIZES
+
+        region = shifted(region, SIZES[sequence])[shift]
+    return (*region.rows, *region.cols)
+
+
+@lru_cache(maxsize=64)
+def _digest(name: str, dataset: str, folder: Path | None) -> str:
+    if dataset == "middlebury":
+        from fracbench.data import middlebury
+
+        return middlebury.digest(name, str(folder))
+    from fracbench.data import synthetic
+
+    return synthetic.digest(name)
+
+
+def _idle_keys(varying: Sequence[str], points: Sequence[PlannedPoint]) -> list[str]:
+    """Say which swept parameters change nothing, because no method in the plan uses them."""
+    from fracbench.methods.registry import get_method
+    from fracbench.model.params import FlowParams
+
+    used = set().union(*(get_method(planned.point.method).uses for planned in points))
+    names = [key.removeprefix("params.") for key in varying]
+    return [
+        f"`{name}` does not affect the method" for name in names if name in FlowParams.names() and name not in used
+    ]
+
+
+def _sha256(value: Any) -> str:
+    return hashlib.sha256(canonical_json(value).encode()).hexdigest()

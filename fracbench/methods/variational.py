@@ -1,0 +1,50 @@
+"""The paper's methods: each is Algorithm 1 with its own u-step."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fracbench.model.arrays import Array
+from fracbench.model.estimator import FlowResult, coarse_to_fine
+from fracbench.model.fractional import GradientOperator, NaturalGradient, make_operator
+from fracbench.model.params import FlowParams
+from fracbench.model.regularizers import Regularizer, SplitBregman, TVDual
+
+
+def tvl1(frame0: Array, frame1: Array, params: FlowParams, *, trace: bool = False) -> FlowResult:
+    """Compute TV-L1 flow; see `fracbench.methods.registry.Method` for the signature."""
+    return coarse_to_fine(frame0, frame1, params, _tv_dual, method="tvl1", trace=trace)
+
+
+def tvl1_sb(frame0: Array, frame1: Array, params: FlowParams, *, trace: bool = False) -> FlowResult:
+    """Compute TV-L1-SB flow (Algorithm 3)."""
+    return coarse_to_fine(frame0, frame1, params, _split_bregman, method="tvl1_sb", trace=trace)
+
+
+def tvl1_sb_alpha(frame0: Array, frame1: Array, params: FlowParams, *, trace: bool = False) -> FlowResult:
+    """Compute TV-L1-SB-alpha flow (Algorithm 4)."""
+    return coarse_to_fine(frame0, frame1, params, _split_bregman_alpha, method="tvl1_sb_alpha", trace=trace)
+
+
+def _tv_dual(params: FlowParams, shape: tuple[int, int], dtype: np.dtype) -> Regularizer:
+    return TVDual(shape, params.theta, params.tau, dtype)
+
+
+def _split_bregman(params: FlowParams, shape: tuple[int, int], dtype: np.dtype) -> Regularizer:
+    return _bregman(NaturalGradient(1.0, shape, dtype), params)
+
+
+def _split_bregman_alpha(params: FlowParams, shape: tuple[int, int], dtype: np.dtype) -> Regularizer:
+    return _bregman(make_operator(params.boundary, params.alpha, shape, dtype, params.pad), params)
+
+
+def _bregman(operator: GradientOperator, params: FlowParams) -> SplitBregman:
+    return SplitBregman(
+        operator,
+        params.theta,
+        params.lambda_sb,
+        u_solver=params.u_solver,
+        inner=params.inner,
+        tol=params.tol,
+        max_inner=params.max_inner,
+    )

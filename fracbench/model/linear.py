@@ -1,0 +1,100 @@
+"""Solvers of the u-step: ``(1/theta + mu (Ny (x) I + I (x) Nx)) u = rhs`` (fractional Euler-Lagrange equation).
+
+``Ny`` and ``Nx`` are the normal operators along the two axes, ``mu = lambda_sb``. The system is symmetric
+positive definite. Solved exactly it is a division in the eigenbasis of the gradient operator
+(`fracbench.model.fractional`); the sweeps here are the paper's way, with its misprints corrected.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fracbench.model._jit import jit
+from fracbench.model.arrays import Array, Float64Array
+from fracbench.model.fractional import GradientOperator
+
+
+def inverse_eigenvalues(operator: GradientOperator, theta: float, mu: float) -> Array:
+    """Return ``1 / (1/theta + mu (ly_i + lx_j))``, the inverse of the u-system in the operator's basis.
+
+    Parameters
+    ----------
+    operator : GradientOperator
+        The gradient.
+    theta, mu : float
+        Tightness and split Bregman parameter.
+
+    Returns
+    -------
+    ndarray, shape (H, W)
+        In the operator's precision.
+    """
+    ly, lx = operator.eigenvalues()
+    return (1.0 / (1.0 / theta + mu * (ly[:, None] + lx[None, :]))).astype(operator.dtype)
+
+
+@jit
+def gauss_seidel_natural(u: Array, rhs: Array, theta: float, mu: float) -> None:
+    """Sweep once over the pixels in raster order, 5-point stencil without flux (Algorithm 3); `u` is updated.
+
+    Parameters
+    ----------
+    u : ndarray, shape (H, W)
+        Current iterate, overwritten.
+    rhs : ndarray, shape (H, W)
+        ``v/theta + mu D^T (d - b)``.
+    theta, mu : float
+        Tightness and split Bregman parameter.
+    """
+    height, width = u.shape
+    for i in range(height):
+        for j in range(width):
+            neighbours = 0.0
+            count = 0
+            if i > 0:
+                neighbours += u[i - 1, j]
+                count += 1
+            if i < height - 1:
+                neighbours += u[i + 1, j]
+                count += 1
+            if j > 0:
+                neighbours += u[i, j - 1]
+                count += 1
+            if j < width - 1:
+                neighbours += u[i, j + 1]
+                count += 1
+            u[i, j] = (rhs[i, j] + mu * neighbours) / (1.0 / theta + mu * count)
+
+
+@jit
+def gauss_seidel_dense(u: Array, rhs: Array, ny: Float64Array, nx: Float64Array, theta: float, mu: float) -> None:
+    """Sweep once over the pixels in raster order with dense normal operators (Algorithm 4, corrected).
+
+    The off-diagonal sums are subtracted, as the Euler-Lagrange equation asks. All pixels of a row share
+    the sum over the other rows, because no other row changes while the sweep is in this one.
+
+    Parameters
+    ----------
+    u : ndarray, shape (H, W)
+        Current iterate, overwritten.
+    rhs : ndarray, shape (H, W)
+        ``v/theta + mu D^T (d - b)``.
+    ny, nx : ndarray, shapes (H, H) and (W, W), float64
+        Normal operators along the axes.
+    theta, mu : float
+        Tightness and split Bregman parameter.
+    """
+    height, width = u.shape
+    others = np.empty(width)
+    for i in range(height):
+        others[:] = 0.0
+        for p in range(height):
+            if p != i:
+                for j in range(width):
+                    others[j] += ny[i, p] * u[p, j]
+        for j in range(width):
+            row_sum = -nx[j, j] * u[i, j]
+            for q in range(width):
+                row_sum += nx[j, q] * u[i, q]
+            diagonal = 1.0 / theta + mu * (ny[i, i] + nx[j, j])
+            u[i, j] = (rhs[i, j] - mu * (others[j] + row_sum)) / diagonal

@@ -1,0 +1,245 @@
+"""The parameters of the methods: one typed, validated record, and the table of what each means."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import types
+import typing
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Literal
+
+from fracbench.errors import InputError, unknown_name
+
+
+@dataclass(frozen=True)
+class ParamInfo:
+    """What a parameter means and which values it may take.
+
+    Attributes
+    ----------
+    text : str
+        One line.
+    symbol : str
+        The paper's symbol, LaTeX; empty if the paper has none.
+    paper_range : str
+        The range of Table 1, or what the paper says; empty if it says nothing.
+    low, high : float
+        Bounds, both allowed unless `open_low`.
+    open_low : bool
+        Whether `low` itself is excluded.
+    """
+
+    text: str
+    symbol: str = ""
+    paper_range: str = ""
+    low: float = -math.inf
+    high: float = math.inf
+    open_low: bool = False
+
+
+def _param(default: Any, text: str, **info: Any) -> Any:
+    return dataclasses.field(default=default, metadata={"info": ParamInfo(text, **info)})
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlowParams:
+    """Parameters of a flow computation; the defaults are the preset `recommended`.
+
+    Each field's meaning, symbol and range stand in its metadata (`FlowParams.info`); ``fracbench table 1``
+    prints them. In configurations and on the command line `lambda_` is called ``lambda``.
+
+    Raises
+    ------
+    InputError
+        A value of the wrong type or outside its range.
+    """
+
+    lambda_: float = _param(
+        0.3, "data attachment weight, for intensities in 0..255", symbol=r"\lambda", paper_range="[0.1, 1]",
+        low=0.0, open_low=True,
+    )  # fmt: skip
+    theta: float = _param(
+        0.3, "tightness of the coupling of u and v", symbol=r"\theta", paper_range="[0.1, 1]",
+        low=0.0, open_low=True,
+    )  # fmt: skip
+    lambda_sb: float = _param(
+        10.0, "split Bregman penalty", symbol=r"\lambda_{SB}", paper_range="[1, 10]", low=0.0, open_low=True
+    )
+    alpha: float = _param(
+        1.1, "order of the fractional gradient", symbol=r"\alpha", paper_range="[0, 2]", low=0.0, high=2.0
+    )
+    epsilon: float = _param(
+        0.01, "stopping threshold on the change of the flow, pixels", symbol=r"\epsilon", paper_range="0.01",
+        low=0.0,
+    )  # fmt: skip
+    eta: float = _param(
+        0.5, "downsampling factor of the pyramid", symbol=r"\eta", paper_range="0.5", low=0.1, high=0.95
+    )
+    n_scales: int | None = _param(
+        None, "number of scales; auto: as many as the image allows", symbol=r"N_{scales}",
+        paper_range="[3, 5] (Table 2: 4 to 6)", low=1,
+    )  # fmt: skip
+    n_warps: int = _param(
+        5, "number of warps (linearisations) a scale", symbol=r"N_{warps}", paper_range="[3, 5]", low=1
+    )
+    max_iter: int = _param(
+        300, "largest number of iterations a warp", symbol=r"N_{maxitr}", paper_range="not given", low=1
+    )
+    presmoothing: float = _param(
+        0.6, "standard deviation of the Gaussian on both frames, pixels", symbol=r"\sigma_0",
+        paper_range="0.6", low=0.0,
+    )  # fmt: skip
+    boundary: Literal["zero", "reflect"] = _param(
+        "reflect", "what u is outside the image", paper_range="zero (Dirichlet)"
+    )
+    pad: int = _param(
+        0, "padding of boundary=zero, pixels", paper_range="'padding around the image', not given", low=0
+    )
+    u_solver: Literal["exact", "gauss_seidel"] = _param(
+        "exact", "solver of the u-step", paper_range="fixed-point sweep"
+    )
+    inner: Literal["warm", "cold"] = _param(
+        "warm", "split Bregman state: kept between calls, or started anew", paper_range="cold"
+    )
+    tol: float = _param(
+        0.01,
+        "stopping threshold of the cold inner loop, pixels",
+        symbol="TOL",
+        paper_range="not given",
+        low=0.0,
+    )
+    max_inner: int = _param(30, "largest number of cold inner iterations", paper_range="not given", low=1)
+    tau: float = _param(0.25, "time step of the dual method", low=0.0, high=0.25, open_low=True)
+    upsample_gain: float | None = _param(
+        None, "factor on the flow carried to the next scale; none: the ratio of the sizes",
+        paper_range="1/eta, sampled at x/eta", low=0.0,
+    )  # fmt: skip
+    relinearise: bool = _param(
+        True, "renew u0 = u at each warp; false: u0 = 0 throughout, as printed", paper_range="not stated"
+    )
+    dual_restart: bool = _param(
+        False, "start dual or Bregman variables anew at each warp", paper_range="not stated"
+    )
+    gradient_scale: float = _param(1.0, "factor on the image gradient", low=0.0, open_low=True)
+    epsilon_squared: bool = _param(
+        True,
+        "compare the mean squared change with epsilon^2; false: with epsilon",
+        paper_range="both are printed",
+    )
+    dtype: Literal["float32", "float64"] = _param("float32", "precision of the computation")
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            value = _coerce(field.name, _hints()[field.name], getattr(self, field.name))
+            _check_range(field.name, self.info(field.name), value)
+            object.__setattr__(self, field.name, value)
+
+    @classmethod
+    def names(cls) -> tuple[str, ...]:
+        """Return the parameters' names as configurations and the command line spell them."""
+        return tuple(public_name(field.name) for field in dataclasses.fields(cls))
+
+    @classmethod
+    def info(cls, name: str) -> ParamInfo:
+        """Return what is known of a parameter, by either of its spellings."""
+        field = cls.__dataclass_fields__[_field_name(name)]
+        return typing.cast(ParamInfo, field.metadata["info"])
+
+    def replace(self, changes: Mapping[str, Any], where: str = "") -> FlowParams:
+        """Return a copy with some values changed.
+
+        Parameters
+        ----------
+        changes : mapping
+            Values by name (either spelling); strings are converted to the parameter's type.
+        where : str, optional
+            The place the values come from, for error messages.
+
+        Returns
+        -------
+        FlowParams
+            A new record.
+
+        Raises
+        ------
+        InputError
+            An unknown name (the nearest is offered), a wrong type, a value outside its range.
+        """
+        known = {f.name for f in dataclasses.fields(self)}
+        for name in changes:
+            if _field_name(name) not in known:
+                raise unknown_name("parameter", name, self.names(), where)
+        return dataclasses.replace(self, **{_field_name(name): value for name, value in changes.items()})
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the values by public name."""
+        return {public_name(f.name): getattr(self, f.name) for f in dataclasses.fields(self)}
+
+
+def public_name(field_name: str) -> str:
+    """Return a field's name as configurations spell it: ``lambda`` is a reserved word in Python only."""
+    return field_name.rstrip("_")
+
+
+def _field_name(name: str) -> str:
+    return "lambda_" if name == "lambda" else name
+
+
+@lru_cache(maxsize=1)
+def _hints() -> dict[str, Any]:
+    return typing.get_type_hints(FlowParams)
+
+
+_WORDS = {bool: "true or false", int: "a whole number", float: "a number"}
+
+
+def _coerce(name: str, hint: Any, value: Any) -> Any:
+    """Convert `value` (possibly a string) to the annotated type, or say what is allowed."""
+    options = typing.get_args(hint)
+    if isinstance(hint, types.UnionType):
+        if value is None or (isinstance(value, str) and value.lower() in ("none", "null", "auto")):
+            return None
+        return _coerce(name, options[0], value)
+    if typing.get_origin(hint) is Literal:
+        if value not in options:
+            raise unknown_name(f"value of `{public_name(name)}`", str(value), options)
+        return value
+    try:
+        converted = _convert(hint, value)
+    except (TypeError, ValueError, OverflowError):
+        message = f"`{public_name(name)}` must be {_WORDS[hint]}, got {value!r}"
+        raise InputError(message) from None
+    return converted
+
+
+def _convert(kind: type, value: Any) -> Any:
+    if kind is bool:
+        if isinstance(value, str):
+            return {"true": True, "false": False}[value.lower()] if value.lower() in ("true", "false") else int("")
+        if not isinstance(value, bool):
+            raise TypeError
+        return value
+    if isinstance(value, bool):
+        raise TypeError
+    number = float(value)
+    if not math.isfinite(number):
+        raise ValueError
+    if kind is int:
+        if number != int(number):
+            raise ValueError
+        return int(number)
+    return number
+
+
+def _check_range(name: str, info: ParamInfo, value: Any) -> None:
+    if value is None or isinstance(value, str | bool):
+        return
+    if value < info.low or value > info.high or (info.open_low and value == info.low):
+        if math.isinf(info.high):
+            allowed = f"{'greater than' if info.open_low else 'at least'} {info.low:g}"
+        else:
+            allowed = f"in {'(' if info.open_low else '['}{info.low:g}, {info.high:g}]"
+        raise InputError(f"`{public_name(name)}` must be {allowed}, got {value:g}")

@@ -1,0 +1,110 @@
+"""Pointwise steps: the thresholding operator TH (v-step) and the shrinkage (d- and b-step)."""
+
+from __future__ import annotations
+
+import math
+
+from fracbench.model._jit import jit
+from fracbench.model.arrays import Array
+
+#: Below this squared image gradient (gray levels per pixel, squared) the data say nothing: TH is 0.
+GRADIENT_IS_ZERO = 1e-10
+
+
+@jit
+def threshold(u: Array, rho_c: Array, gradient: Array, lambda_theta: float, v: Array) -> None:
+    """Write ``v = u + TH(u, u0)``, equations (iterv) and (thresholding).
+
+    For each pixel `v` minimises ``|u - v|^2 / (2 theta) + lambda |rho(v)|`` with
+    ``rho(v) = rho_c + gradient . v``. The third case of TH is read as ``|rho| <= ...`` (errata, item 4).
+
+    Parameters
+    ----------
+    u : ndarray, shape (2, H, W)
+        Flow.
+    rho_c : ndarray, shape (H, W)
+        Constant part of the residual, ``I1w - grad I1w . u0 - I0``.
+    gradient : ndarray, shape (2, H, W)
+        Warped image gradient ``grad I1w``.
+    lambda_theta : float
+        ``lambda * theta``.
+    v : ndarray, shape (2, H, W)
+        Output.
+    """
+    _, height, width = u.shape
+    for i in range(height):
+        for j in range(width):
+            gx, gy = gradient[0, i, j], gradient[1, i, j]
+            u1, u2 = u[0, i, j], u[1, i, j]
+            g2 = gx * gx + gy * gy
+            rho = rho_c[i, j] + gx * u1 + gy * u2
+            bound = lambda_theta * g2
+            if rho < -bound:
+                step = lambda_theta
+            elif rho > bound:
+                step = -lambda_theta
+            elif g2 < GRADIENT_IS_ZERO:
+                step = 0.0
+            else:
+                step = -rho / g2
+            v[0, i, j] = u1 + step * gx
+            v[1, i, j] = u2 + step * gy
+
+
+@jit
+def shrink_update(du: Array, b: Array, threshold: float, g: Array) -> None:
+    """Shrink, update the Bregman variable, and form what the next u-step needs.
+
+    With ``z = D u + b``: ``d = shrink(z, threshold)`` (isotropic, each (x, y) pair by its euclidean
+    norm, shrink(0) = 0), ``b <- z - d``, ``g = d - b``; equations (shrinkalpha) and (csbalpha).
+
+    Parameters
+    ----------
+    du : ndarray, shape (pairs, 2, h, w)
+        Derivatives of u.
+    b : ndarray, shape (pairs, 2, h, w)
+        Bregman variable, overwritten.
+    threshold : float
+        ``1 / mu``.
+    g : ndarray, shape (pairs, 2, h, w)
+        Output ``d - b``.
+    """
+    pairs, _, height, width = du.shape
+    for p in range(pairs):
+        for i in range(height):
+            for j in range(width):
+                zx = du[p, 0, i, j] + b[p, 0, i, j]
+                zy = du[p, 1, i, j] + b[p, 1, i, j]
+                norm = math.sqrt(zx * zx + zy * zy)
+                # b is the projection of z on the ball of radius `threshold`; d is the rest.
+                kept = 1.0 if norm <= threshold else threshold / norm
+                b[p, 0, i, j] = kept * zx
+                b[p, 1, i, j] = kept * zy
+                g[p, 0, i, j] = (1.0 - 2.0 * kept) * zx
+                g[p, 1, i, j] = (1.0 - 2.0 * kept) * zy
+
+
+@jit
+def mean_squared_change(a: Array, b: Array) -> float:
+    """Return the mean over pixels of ``|a - b|^2``, summed over components, in float64.
+
+    Parameters
+    ----------
+    a, b : ndarray, shape (C, H, W)
+        Two iterates.
+
+    Returns
+    -------
+    float
+        The paper's stopping measure (section 3.4), square pixels.
+    """
+    total = 0.0
+    components, height, width = a.shape
+    for c in range(components):
+        for i in range(height):
+            row = 0.0
+            for j in range(width):
+                change = a[c, i, j] - b[c, i, j]
+                row += change * change
+            total += row
+    return total / (height * width)

@@ -1,0 +1,140 @@
+"""The coarse-to-fine pyramid (Algorithm 1): sizes, images, and the flow carried to the next finer scale."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import scipy.ndimage
+
+from fracbench.model.arrays import Array
+from fracbench.model.warping import resize
+
+#: sigma_0 of section 3.4: blur of the unit-scale image from which sigma(eta) follows.
+SIGMA_ZERO = 0.6
+#: A scale is worth computing while the image's diagonal is at least this long, pixels (IPOL's rule)...
+MIN_DIAGONAL = 16
+#: ...and each side holds the bicubic stencil.
+MIN_SIDE = 4
+#: Gaussian kernels end here, in standard deviations.
+TRUNCATE = 5.0
+
+
+def scale_shapes(shape: tuple[int, int], eta: float, n_scales: int | None) -> list[tuple[int, int]]:
+    """Return the image sizes from finest to coarsest.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        ``(H, W)`` of the frames.
+    eta : float
+        Downsampling factor, in (0, 1).
+    n_scales : int or None
+        Number of scales wanted; None for all that the image allows.
+
+    Returns
+    -------
+    list of tuple of int
+        At least one size, fewer than `n_scales` if the image does not allow more.
+    """
+    allowed = 1 + max(0, math.floor(math.log(math.hypot(*shape) / MIN_DIAGONAL) / math.log(1.0 / eta)))
+    wanted = allowed if n_scales is None else min(n_scales, allowed)
+    shapes = [shape]
+    while len(shapes) < wanted:
+        height, width = (int(n * eta + 0.5) for n in shapes[-1])
+        if min(height, width) < MIN_SIDE or (height, width) == shapes[-1]:
+            break
+        shapes.append((height, width))
+    return shapes
+
+
+def stretch(frame0: Array, frame1: Array, dtype: np.dtype) -> tuple[Array, Array]:
+    """Stretch both frames together to 0..255 (Algorithm 1); equal constants are left as they are.
+
+    Parameters
+    ----------
+    frame0, frame1 : ndarray, shape (H, W)
+        Frames; never changed.
+    dtype : dtype
+        Precision of the result.
+
+    Returns
+    -------
+    tuple of ndarray
+        New arrays.
+    """
+    low = min(float(frame0.min()), float(frame1.min()))
+    high = max(float(frame0.max()), float(frame1.max()))
+    gain = 255.0 / (high - low) if high > low else 1.0
+    offset = low if high > low else 0.0
+    first, second = (((f.astype(np.float64) - offset) * gain).astype(dtype) for f in (frame0, frame1))
+    return first, second
+
+
+def smooth(image: Array, sigma: float) -> Array:
+    """Convolve with a Gaussian of standard deviation `sigma` pixels; mirrored borders; `sigma` 0 does nothing.
+
+    Parameters
+    ----------
+    image : ndarray, shape (H, W)
+        Image; never changed.
+    sigma : float
+        Standard deviation, pixels.
+
+    Returns
+    -------
+    ndarray, shape (H, W)
+        In the precision of `image`.
+    """
+    if sigma == 0.0:
+        return image
+    return np.asarray(scipy.ndimage.gaussian_filter(image, sigma, mode="reflect", truncate=TRUNCATE))
+
+
+def build(image: Array, shapes: list[tuple[int, int]], eta: float) -> list[Array]:
+    """Return the pyramid of `image`: each scale the one before it, smoothed by sigma(eta) and resampled.
+
+    Parameters
+    ----------
+    image : ndarray, shape (H, W)
+        Finest scale.
+    shapes : list of tuple of int
+        From `scale_shapes`.
+    eta : float
+        Downsampling factor: ``sigma(eta) = sigma_0 sqrt(eta^-2 - 1)``.
+
+    Returns
+    -------
+    list of ndarray
+        From finest to coarsest.
+    """
+    sigma = SIGMA_ZERO * math.sqrt(eta**-2 - 1.0)
+    levels = [image]
+    for shape in shapes[1:]:
+        levels.append(resize(smooth(levels[-1], sigma), shape))
+    return levels
+
+
+def upsample_flow(flow: Array, shape: tuple[int, int], gain: float | None = None) -> Array:
+    """Carry a flow to the next finer scale: sampled bicubically, displacements scaled.
+
+    Parameters
+    ----------
+    flow : ndarray, shape (2, h, w)
+        Flow at the coarse scale, in its pixels.
+    shape : tuple of int
+        ``(H, W)`` of the fine scale.
+    gain : float or None, optional
+        Factor on both components; None for the true ratio of the sizes (``W/w`` and ``H/h``), which
+        is what a displacement asks for (errata, item 6).
+
+    Returns
+    -------
+    ndarray, shape (2, H, W)
+        Flow in pixels of the fine scale.
+    """
+    ratios = (shape[1] / flow.shape[2], shape[0] / flow.shape[1]) if gain is None else (gain, gain)
+    fine = np.empty((2, *shape), flow.dtype)
+    for component in range(2):
+        np.multiply(resize(flow[component], shape), flow.dtype.type(ratios[component]), out=fine[component])
+    return fine

@@ -1,0 +1,230 @@
+"""The first minimisation problem, ``min_u R(u) + |u - v|^2 / (2 theta)``, for one flow: dual and split Bregman.
+
+Both keep their state (dual or Bregman variables) between calls; `restart` forgets it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+import numpy as np
+
+from fracbench.model._jit import jit
+from fracbench.model.arrays import Array
+from fracbench.model.fractional import GradientOperator, NaturalGradient
+from fracbench.model.linear import gauss_seidel_dense, gauss_seidel_natural, inverse_eigenvalues
+from fracbench.model.proximal import mean_squared_change, shrink_update
+
+
+class Regularizer(Protocol):
+    """What the single-level solver asks of a u-step.
+
+    Attributes
+    ----------
+    operator : GradientOperator
+        The gradient whose norm is minimised; for the energy.
+    """
+
+    operator: GradientOperator
+
+    def restart(self) -> None:
+        """Forget the state kept between calls."""
+        ...
+
+    def step(self, v: Array, u: Array, out: Array) -> int:
+        """Write the next flow to `out` from `v` and the current `u`, all (2, H, W); return inner iterations."""
+        ...
+
+
+class TVDual:
+    """Chambolle's dual step for TV with forward differences (Zach et al. 2007; IPOL's numerics).
+
+    Parameters
+    ----------
+    shape : tuple of int
+        ``(H, W)``.
+    theta : float
+        Tightness.
+    tau : float
+        Dual time step; converges up to 1/4.
+    dtype : dtype-like
+        Precision.
+    """
+
+    def __init__(self, shape: tuple[int, int], theta: float, tau: float, dtype: np.dtype | type) -> None:
+        self.operator: GradientOperator = NaturalGradient(1.0, shape, dtype)
+        self._theta = theta
+        self._step = tau / theta
+        self._p = np.zeros((2, 2, *shape), dtype)
+
+    def restart(self) -> None:
+        """Set the dual variable to 0."""
+        self._p[...] = 0.0
+
+    def step(self, v: Array, u: Array, out: Array) -> int:
+        """Write ``v + theta div p`` to `out` and move p along its gradient; see `Regularizer.step`."""
+        for component in range(2):
+            dual_primal(v[component], self._p[component], self._theta, out[component])
+            dual_ascent(out[component], self._step, self._p[component])
+        return 1
+
+
+@jit
+def dual_primal(v: Array, p: Array, theta: float, u: Array) -> None:
+    """Write ``u = v + theta div p`` with backward differences, the adjoint of `dual_ascent`'s gradient.
+
+    Parameters
+    ----------
+    v : ndarray, shape (H, W)
+        Data.
+    p : ndarray, shape (2, H, W)
+        Dual variable.
+    theta : float
+        Tightness.
+    u : ndarray, shape (H, W)
+        Output.
+    """
+    height, width = v.shape
+    for i in range(height):
+        for j in range(width):
+            divergence = 0.0
+            if j < width - 1:
+                divergence += p[0, i, j]
+            if j > 0:
+                divergence -= p[0, i, j - 1]
+            if i < height - 1:
+                divergence += p[1, i, j]
+            if i > 0:
+                divergence -= p[1, i - 1, j]
+            u[i, j] = v[i, j] + theta * divergence
+
+
+@jit
+def dual_ascent(u: Array, step: float, p: Array) -> None:
+    """Update ``p <- (p + step grad u) / (1 + step |grad u|)`` with forward differences, 0 across the border.
+
+    Parameters
+    ----------
+    u : ndarray, shape (H, W)
+        Primal variable.
+    step : float
+        ``tau / theta``.
+    p : ndarray, shape (2, H, W)
+        Dual variable, overwritten.
+    """
+    height, width = u.shape
+    for i in range(height):
+        for j in range(width):
+            ux = u[i, j + 1] - u[i, j] if j < width - 1 else 0.0
+            uy = u[i + 1, j] - u[i, j] if i < height - 1 else 0.0
+            scale = 1.0 / (1.0 + step * np.sqrt(ux * ux + uy * uy))
+            p[0, i, j] = (p[0, i, j] + step * ux) * scale
+            p[1, i, j] = (p[1, i, j] + step * uy) * scale
+
+
+class SplitBregman:
+    """Split Bregman iteration, Algorithms 3 and 4: u-step, shrinkage, Bregman update.
+
+    Parameters
+    ----------
+    operator : GradientOperator
+        The gradient; `NaturalGradient` makes it Algorithm 3, the others Algorithm 4.
+    theta, mu : float
+        Tightness and split Bregman parameter lambda_sb.
+    u_solver : {'exact', 'gauss_seidel'}
+        Division in the operator's basis, or one sweep in raster order.
+    inner : {'warm', 'cold'}
+        `warm` keeps d and b between calls and takes one Bregman step a call. `cold` is the paper's:
+        each call starts from u = v, d = b = 0 and iterates until the root mean square of a
+        component's change is at most `tol`, or `max_inner` times.
+    tol : float
+        See `inner`, pixels.
+    max_inner : int
+        See `inner`.
+    """
+
+    def __init__(
+        self,
+        operator: GradientOperator,
+        theta: float,
+        mu: float,
+        *,
+        u_solver: str = "exact",
+        inner: str = "warm",
+        tol: float = 0.01,
+        max_inner: int = 30,
+    ) -> None:
+        self.operator = operator
+        self._theta, self._mu = theta, mu
+        self._exact = u_solver == "exact"
+        self._cold = inner == "cold"
+        self._tol, self._max_inner = tol, max_inner
+        self._b = np.zeros((2, *operator.range_shape), operator.dtype)
+        self._g = np.zeros_like(self._b)
+        self._started = [False, False]
+        if self._exact:
+            self._inverse = inverse_eigenvalues(operator, theta, mu)
+        elif not isinstance(operator, NaturalGradient):
+            self._ny, self._nx = operator.normal_matrices()
+
+    def restart(self) -> None:
+        """Set d and b to 0."""
+        self._b[...] = 0.0
+        self._started = [False, False]
+
+    def step(self, v: Array, u: Array, out: Array) -> int:
+        """Take one warm step, or iterate from a cold start; see `Regularizer.step`."""
+        if not self._cold:
+            for component in range(2):
+                self._warm(component, v[component], u[component], out[component])
+            return 1
+        return sum(self._iterate(component, v[component], out[component]) for component in range(2))
+
+    def _warm(self, component: int, v: Array, u: Array, out: Array) -> None:
+        if not self._started[component]:
+            # d = D u, b = 0: the first step then starts from the flow at hand instead of smoothing it away.
+            self._g[component] = self.operator.apply(u)
+            self._started[component] = True
+        out[...] = u
+        self.bregman_step(component, v, out)
+
+    def _iterate(self, component: int, v: Array, out: Array) -> int:
+        self._b[component] = 0.0
+        self._g[component] = 0.0
+        out[...] = v
+        change, count = math.inf, 0
+        while change > self._tol**2 and count < self._max_inner:
+            before = out[None].copy()
+            self.bregman_step(component, v, out)
+            change = mean_squared_change(out[None], before)
+            count += 1
+        return count
+
+    def bregman_step(self, component: int, v: Array, u: Array) -> None:
+        """Take one step (u, then d, then b) for one component.
+
+        Parameters
+        ----------
+        component : int
+            0 or 1: whose d and b.
+        v : ndarray, shape (H, W)
+            Data.
+        u : ndarray, shape (H, W)
+            Current iterate, overwritten by the next.
+        """
+        operator, g = self.operator, self._g[component]
+        rhs = v / u.dtype.type(self._theta) + u.dtype.type(self._mu * operator.weight) * operator.adjoint(g)
+        if self._exact:
+            solution, du = operator.u_step(rhs, self._inverse)
+            u[...] = solution
+        else:
+            self._sweep(u, rhs)
+            du = operator.apply(u)
+        shrink_update(du, self._b[component], 1.0 / self._mu, g)
+
+    def _sweep(self, u: Array, rhs: Array) -> None:
+        if isinstance(self.operator, NaturalGradient):
+            gauss_seidel_natural(u, rhs, self._theta, self._mu)
+        else:
+            gauss_seidel_dense(u, rhs, self._ny, self._nx, self._theta, self._mu)

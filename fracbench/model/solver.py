@@ -1,0 +1,142 @@
+"""The single-level solver (Algorithm 2): warps, and within each the alternation of v-step and u-step."""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fracbench.model.arrays import Array
+from fracbench.model.energy import energy
+from fracbench.model.params import FlowParams
+from fracbench.model.proximal import mean_squared_change, threshold
+from fracbench.model.regularizers import Regularizer
+from fracbench.model.warping import Linearization, central_gradient, linearize
+
+
+@dataclass
+class LevelReport:
+    """What happened at one scale.
+
+    Attributes
+    ----------
+    shape : tuple of int
+        ``(H, W)`` of the scale.
+    iterations : list of int
+        Passes of Algorithm 2's loop, one number a warp.
+    inner_iterations : list of int
+        Calls of the u-step's inner loop (both components together when cold), one number a warp.
+    stop : list of str
+        ``"converged"``, ``"max_iter"`` or ``"diverged"``, one a warp.
+    energy : list of list of float
+        E(u, v) after each iteration, a list a warp; empty unless asked for.
+    """
+
+    shape: tuple[int, int]
+    iterations: list[int] = field(default_factory=list)
+    inner_iterations: list[int] = field(default_factory=list)
+    stop: list[str] = field(default_factory=list)
+    energy: list[list[float]] = field(default_factory=list)
+
+
+class Stopwatch:
+    """Seconds by phase."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = defaultdict(float)
+        self._last = time.perf_counter()
+
+    def lap(self, phase: str) -> None:
+        """Add the time since the last call to `phase`."""
+        now = time.perf_counter()
+        self.seconds[phase] += now - self._last
+        self._last = now
+
+
+def solve_level(
+    frame0: Array,
+    frame1: Array,
+    u: Array,
+    params: FlowParams,
+    regularizer: Regularizer,
+    watch: Stopwatch,
+    *,
+    trace: bool = False,
+) -> tuple[Array, LevelReport]:
+    """Run Algorithm 2 at one scale.
+
+    Parameters
+    ----------
+    frame0, frame1 : ndarray, shape (H, W)
+        The frames at this scale, 0..255.
+    u : ndarray, shape (2, H, W)
+        Initial flow; never changed.
+    params : FlowParams
+        Parameters.
+    regularizer : Regularizer
+        The u-step.
+    watch : Stopwatch
+        Adds up seconds by phase.
+    trace : bool, optional
+        Record the energy after each iteration (slow).
+
+    Returns
+    -------
+    flow : ndarray, shape (2, H, W)
+        The flow.
+    report : LevelReport
+        Iterations and stop reasons.
+    """
+    report = LevelReport(shape=(frame0.shape[0], frame0.shape[1]))
+    gradient1 = central_gradient(frame1, params.gradient_scale)
+    linear = Linearization(np.empty_like(frame0), np.empty_like(gradient1))
+    u0 = np.zeros_like(u)
+    u = u.copy()
+    for _ in range(params.n_warps):
+        if params.relinearise:
+            u0 = u
+        linearize(frame0, frame1, gradient1, u0, *linear)
+        watch.lap("warping")
+        if params.dual_restart:
+            regularizer.restart()
+        u = _alternate(u, linear, params, regularizer, report, trace)
+        watch.lap("solving")
+        if report.stop[-1] == "diverged":
+            break
+    return u, report
+
+
+def _alternate(
+    u: Array,
+    linear: Linearization,
+    params: FlowParams,
+    regularizer: Regularizer,
+    report: LevelReport,
+    trace: bool,
+) -> Array:
+    """Minimise E(u, v) for one linearisation by turns over v and u."""
+    v, after = np.empty_like(u), np.empty_like(u)
+    limit = params.epsilon**2 if params.epsilon_squared else params.epsilon
+    stop, inner, energies = "max_iter", 0, []
+    for n in range(1, params.max_iter + 1):
+        threshold(u, linear.rho_c, linear.gradient, params.lambda_ * params.theta, v)
+        inner += regularizer.step(v, u, after)
+        change = mean_squared_change(after, u)
+        # The caller's u0 may be the array behind `u`: swap names, never overwrite it.
+        u, after = after, (np.empty_like(u) if n == 1 else u)
+        if trace:
+            energies.append(energy(regularizer.operator, u, v, linear, params.lambda_, params.theta))
+        if not np.isfinite(change):
+            stop = "diverged"
+            break
+        if change < limit:
+            stop = "converged"
+            break
+    report.iterations.append(n)
+    report.inner_iterations.append(inner)
+    report.stop.append(stop)
+    if trace:
+        report.energy.append(energies)
+    return u
