@@ -62,15 +62,12 @@ def _download(url: str, folder: Path, timeout: float) -> Path:
         raise DataError(f"{url} gave no answer within {timeout:g} s") from exc
     except requests.ConnectionError as exc:
         raise DataError(f"{url} cannot be reached") from exc
-    except (
-        OSError,
-        ValueError,
-    ) as exc:  # requests' other errors are OSErrors, a malformed URL is a ValueError
+    except (OSError, ValueError) as exc:  # the other errors of requests, and malformed URLs
         raise DataError(f"{url}: {exc}") from exc
 
 
 def _require_answer(url: str, timeout: float) -> None:
-    """Raise unless the server answers in time.
+    """Raise unless the server has the archive and says so in time.
 
     The time-outs of a socket leave out name resolution and count anew for each address of a host; a thread
     bounds the whole.
@@ -81,7 +78,8 @@ def _require_answer(url: str, timeout: float) -> None:
 
     def ask() -> None:
         try:
-            requests.head(url, timeout=timeout, allow_redirects=False).close()
+            with requests.head(url, timeout=timeout, allow_redirects=True) as response:
+                response.raise_for_status()
         except Exception as exc:
             failures.append(exc)
 
@@ -100,12 +98,12 @@ def _quiet_pooch() -> Iterator[None]:
     import pooch
 
     logger = pooch.get_logger()
-    level = logger.level
-    logger.setLevel("ERROR")
+    before = logger.disabled  # not its level: pooch's logger stands alone, and caches what its level allows
+    logger.disabled = True
     try:
         yield
     finally:
-        logger.setLevel(level)
+        logger.disabled = before
 
 
 def _verified_member(archive: Path, url: str, member: str, sha256: str) -> bytes:

@@ -79,10 +79,7 @@ def run_point(point: Point, folder: Path | None) -> Outcome:
 
 
 def _compute(point: Point, folder: Path | None, machine: dict[str, Any]) -> Outcome:
-    sequence = _sequence(point.sequence, point.dataset, folder)
-    if sequence.digest != point.data_digest:
-        raise InputError(f"sequence {point.sequence}: the data changed while the sweep was running")
-    frame0, frame1, truth, inner = _cut(sequence, point)
+    frame0, frame1, truth, inner = point_arrays(point, folder)
     if truth is None:
         raise InputError(f"sequence {point.sequence}: has no true flow to compare with")
     method = get_method(point.method)
@@ -116,7 +113,33 @@ def _sequence(name: str, dataset: str, folder: Path | None) -> Sequence:
     return load_sequence(name, dataset, folder)
 
 
-def _cut(sequence: Sequence, point: Point) -> tuple[Any, Any, Any, tuple[slice, slice]]:
+def point_arrays(point: Point, folder: Path | None) -> tuple[Any, Any, Any, tuple[slice, slice]]:
+    """Return the frames and the true flow that a point computes on.
+
+    Parameters
+    ----------
+    point : Point
+        The point.
+    folder : Path or None
+        Where the Middlebury data are.
+
+    Returns
+    -------
+    frame0, frame1 : ndarray, shape (h, w)
+        The frames, cut to the box with its context.
+    truth : ndarray, shape (2, h, w), or None
+        The true flow there.
+    inner : tuple of slice
+        The box within them.
+
+    Raises
+    ------
+    InputError
+        The data are not what the point was planned for.
+    """
+    sequence = _sequence(point.sequence, point.dataset, folder)
+    if sequence.digest != point.data_digest:
+        raise InputError(f"sequence {point.sequence}: the data changed while the sweep was running")
     if point.box is None:
         return sequence.frame0, sequence.frame1, sequence.truth, (slice(None), slice(None))
     row0, row1, col0, col1 = point.box

@@ -16,7 +16,7 @@ from fracbench.data import files
 from fracbench.errors import InputError
 
 SMALL_SHAPES = st.tuples(st.just(2), st.integers(1, 7), st.integers(1, 7))
-SETTINGS = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+SETTINGS = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 RNG = np.random.default_rng(5)
 
 
@@ -119,8 +119,8 @@ class TestImages:
 
     @pytest.mark.parametrize(
         "data",
-        [b"", b"just some text\n", png_bytes(30000, 30000, 8, 2, b""), png_bytes(12000, 12000, 8, 2, b"")],
-        ids=["empty", "text", "bomb", "smaller bomb"],
+        [b"", b"just some text\n", b"\x89PNG\r\n\x1a\n"],
+        ids=["empty", "text", "signature only"],
     )
     def test_what_is_no_picture_is_refused(self, tmp_path, data):
         path = tmp_path / "a.png"
@@ -128,6 +128,12 @@ class TestImages:
         with pytest.raises(InputError, match="not a picture that can be read") as caught:
             files.read_image(path)
         assert str(path) in one_line(caught)
+
+    @pytest.mark.parametrize("side", [10_000, 30_000])
+    def test_decompression_bombs_are_not_opened(self, side):
+        with pytest.raises(InputError, match="decompression bomb") as caught:
+            files.decode_image(png_bytes(side, side, 8, 2, b""), "a.png")
+        one_line(caught)
 
     def test_floating_point_pictures_are_refused(self, tmp_path):
         Image.fromarray(np.zeros((4, 4), dtype=np.float32)).save(tmp_path / "a.tiff")

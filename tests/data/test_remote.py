@@ -79,16 +79,27 @@ def server(tmp_path, monkeypatch):
     server.close()
 
 
-def test_download_takes_what_is_registered_and_nothing_else(server, tmp_path, caplog):
+def test_download_takes_what_is_registered_and_nothing_else(server, tmp_path):
     folder = tmp_path / "new" / "data"
-    level = pooch.get_logger().level
-    with caplog.at_level(logging.INFO):
-        mb.download(folder, base_url=server.url + "/")
+    mb.download(folder, base_url=server.url + "/")
     stored = {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
     assert stored == CONTENT
     assert all(mb.state(name, folder).state == "ok" for name in mb.SEQUENCES)
-    assert not [record for record in caplog.records if record.name == "pooch"]
-    assert pooch.get_logger().level == level
+
+
+def test_pooch_is_quiet_while_downloading_and_only_then(server, tmp_path):
+    records: list[logging.LogRecord] = []
+    handler = logging.Handler()
+    handler.emit = records.append
+    logger = pooch.get_logger()
+    logger.addHandler(handler)
+    try:
+        mb.download(tmp_path / "d", base_url=server.url)
+        assert records == []
+        logger.info("heard")
+        assert len(records) == 1
+    finally:
+        logger.removeHandler(handler)
 
 
 def test_only_what_is_not_ok_is_fetched_again(server, tmp_path):

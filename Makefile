@@ -1,0 +1,40 @@
+# Everything runs in an environment of its own, .venv, which the first command makes.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+FRACBENCH := $(BIN)/python -m fracbench
+
+.DEFAULT_GOAL := help
+.PHONY: help setup table2 check test lint format clean
+
+help: ## list the commands
+	@awk -F ':.*## ' '/^[a-z0-9_-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+
+setup: $(VENV)/.ready ## make the environment (the other commands do so themselves)
+
+$(VENV)/.ready: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+	@touch $@
+
+table2: $(VENV)/.ready ## Table 2 of the paper, published beside recomputed
+	$(FRACBENCH) table 2
+
+check: $(VENV)/.ready ## recompute the stored tables and compare them cell by cell
+	$(FRACBENCH) check
+
+test: $(VENV)/.ready ## all tests
+	$(BIN)/python -m pytest
+
+lint: $(VENV)/.ready ## style and types
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: $(VENV)/.ready ## put the code in house style
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+clean: ## remove the environment and everything computed
+	rm -rf $(VENV) results/runs results/sweeps build dist
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

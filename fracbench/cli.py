@@ -1,0 +1,277 @@
+"""The command line: one thin function for each subcommand."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from fracbench import __version__, console
+from fracbench.errors import FracbenchError, InputError, nearest
+
+if TYPE_CHECKING:
+    from fracbench.harness.experiment import Experiment
+
+EXIT_DONE, EXIT_CHECK, EXIT_INPUT, EXIT_FAILED = 0, 1, 2, 3
+_EXITS = "exit codes: 0 done, 1 a check did not hold, 2 bad input, 3 finished but some points failed"
+
+
+class _Parser(argparse.ArgumentParser):
+    """An argument parser whose errors are one line and name the nearest valid word."""
+
+    def error(self, message: str) -> NoReturn:
+        choices = [name for action in self._subparsers_actions() for name in action.choices]
+        given = message.partition("invalid choice: '")[2].partition("'")[0]
+        if given:
+            guess = nearest(given, choices)
+            hint = f"did you mean {guess!r}? " if guess else ""
+            message = f"unknown command {given!r}: {hint}(allowed: {', '.join(choices)})"
+        raise InputError(" ".join(message.split()))
+
+    def _subparsers_actions(self) -> list[Any]:
+        return [action for action in self._actions if isinstance(action, argparse._SubParsersAction)]
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Parameters
+    ----------
+    argv : sequence of str, optional
+        Arguments without the program's name; ``sys.argv`` by default.
+
+    Returns
+    -------
+    int
+        Exit code: 0 done, 1 a check did not hold, 2 bad input, 3 finished but some points failed.
+    """
+    try:
+        arguments = _parse(list(sys.argv[1:] if argv is None else argv))
+        command: Callable[[argparse.Namespace], int] = arguments.command
+        return command(arguments)
+    except FracbenchError as exc:
+        console.complain(str(exc))
+        return EXIT_INPUT
+    except BrokenPipeError:
+        # Whoever read our output has gone, e.g. `| head`: not an error, but nothing more can be printed.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_DONE
+
+
+def console_entry() -> NoReturn:
+    """Run the command line and leave with its exit code: the console script."""
+    sys.exit(main())
+
+
+def _parse(argv: list[str]) -> argparse.Namespace:
+    parser = _build_parser()
+    arguments, rest = parser.parse_known_args(argv)
+    # argparse takes overrides up to the first option only; they may stand after it as well.
+    for word in rest:
+        if word.startswith("-") or "=" not in word or not hasattr(arguments, "overrides"):
+            options = [option for action in arguments.parser._actions for option in action.option_strings]
+            guess = nearest(word, options)
+            hint = f": did you mean {guess}?" if guess else ""
+            raise InputError(f"unexpected argument {word!r}{hint}")
+        arguments.overrides.append(word)
+    return arguments
+
+
+def _build_parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="fracbench",
+        description="Reproduce, check and extend 'Optical flow with fractional order regularization'.",
+        epilog=_EXITS,
+    )
+    parser.add_argument("--version", action="version", version=f"fracbench {__version__}")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+
+    def add(
+        name: str, command: Callable[[argparse.Namespace], int], text: str, **more: Any
+    ) -> argparse.ArgumentParser:
+        sub: argparse.ArgumentParser = commands.add_parser(name, help=text, description=text, **more)
+        sub.set_defaults(command=command, parser=sub)
+        return sub
+
+    _add_overrides(
+        add("sweep", _sweep, "run a grid of parameters; write a tidy CSV and a plot", epilog=_GRID_HELP)
+    )
+    table = add("table", _table, "run what is missing for a table of the paper and write it")
+    table.add_argument("number", help="e.g. 2")
+    _add_overrides(table)
+    figure = add("figure", _figure, "run what is missing for a figure of the paper and draw it")
+    figure.add_argument("number", help="e.g. 6")
+    _add_overrides(figure)
+    experiment = add("experiment", _experiment, "run an experiment of experiments/ and write its artefact")
+    experiment.add_argument("name", help="name of the file, without .yaml")
+    _add_overrides(experiment)
+    run = add("run", _run, "compute one configured flow; write it as .flo and as a picture")
+    _add_overrides(run, grid=False)
+    estimate = add("estimate", _estimate, "compute the flow between two images of your own")
+    estimate.add_argument("frame0", type=Path)
+    estimate.add_argument("frame1", type=Path)
+    estimate.add_argument(
+        "-o", "--output", type=Path, required=True, help="the flow: .flo, or .png in KITTI's format"
+    )
+    estimate.add_argument("--color", type=Path, help="colour picture (default: beside the flow, .color.png)")
+    estimate.add_argument("--truth", type=Path, help="true flow, .flo or KITTI .png: print the errors")
+    estimate.add_argument("--method", default=None, help="see `fracbench methods`")
+    estimate.add_argument(
+        "overrides", nargs="*", metavar="KEY=VALUE", help="parameters, e.g. alpha=1.2 lambda=0.5"
+    )
+    check = add("check", _check, "recompute the stored tables and compare them cell by cell")
+    check.add_argument("names", nargs="*", metavar="NAME", help="stored tables (default: all)")
+    check.add_argument("--jobs", type=int, default=2, help="worker processes (default: 2)")
+    check.add_argument("--update", action="store_true", help="rewrite the stored tables instead")
+    check.add_argument("--reason", default="", help="why they change; recorded beside them")
+    data = add("data", _data, "say where the Middlebury data are and whether they are whole; fetch them")
+    data.add_argument("--download", action="store_true", help="download what is missing into the user's cache")
+    add("methods", _methods, "list the methods and their parameters")
+    return parser
+
+
+_GRID_HELP = (
+    "grid: a:b:step (both ends), 1,2,5, unions 0:1:0.25,1.5, log(1e-3:1:7), range(), choice(), "
+    "zip(lambda,theta)=(0.3,0.3),(0.4,0.4); several keys make a product; region=all and "
+    "region=grove2_* are globs. " + _EXITS
+)
+
+
+def _add_overrides(parser: argparse.ArgumentParser, *, grid: bool = True) -> None:
+    parser.add_argument("overrides", nargs="*", metavar="KEY=GRID" if grid else "KEY=VALUE")
+    if grid:
+        parser.add_argument("--jobs", type=int, help="worker processes (default: 2)")
+        parser.add_argument("--dry-run", action="store_true", help="count points and minutes, compute nothing")
+        parser.add_argument("--rerun", choices=["failed"], help="compute points again that failed")
+
+
+def _sweep(arguments: argparse.Namespace) -> int:
+    from fracbench.harness.experiment import Experiment
+
+    tokens = tuple(arguments.overrides)
+    if not tokens:
+        raise InputError("sweep: what is to be swept? e.g. fracbench sweep alpha=0:2:0.1 region=grove2_A")
+    return _conduct(Experiment(_slug(tokens), " ".join(tokens), "sweep", tokens), arguments)
+
+
+def _slug(tokens: Sequence[str]) -> str:
+    """Return a file name for a sweep, distinct for distinct overrides."""
+    import hashlib
+    import re
+
+    text = "__".join(re.sub(r"[^\w.=,+-]+", "_", token) for token in tokens if not token.startswith("paths."))
+    # Characters are folded and names cut: a digest keeps apart what would fall together.
+    digest = hashlib.sha256("\0".join(tokens).encode()).hexdigest()[:8]
+    return f"{text[:80]}__{digest}"
+
+
+def _table(arguments: argparse.Namespace) -> int:
+    return _numbered("table", arguments)
+
+
+def _figure(arguments: argparse.Namespace) -> int:
+    return _numbered("fig", arguments)
+
+
+def _numbered(kind: str, arguments: argparse.Namespace) -> int:
+    from fracbench.harness.experiment import list_experiments
+
+    known = [name.removeprefix(kind) for name in list_experiments() if name.removeprefix(kind).isdigit()]
+    if arguments.number not in known:
+        word = "table" if kind == "table" else "figure"
+        raise InputError(f"there is no {word} {arguments.number!r} (allowed: {', '.join(known)})")
+    arguments.name = f"{kind}{arguments.number}"
+    return _experiment(arguments)
+
+
+def _experiment(arguments: argparse.Namespace) -> int:
+    from dataclasses import replace
+
+    from fracbench.harness.experiment import load_experiment
+
+    experiment = load_experiment(arguments.name)
+    settings = [token for token in arguments.overrides if token.startswith(("dataset=", "paths.", "parallel"))]
+    if len(settings) < len(arguments.overrides):
+        raise InputError(
+            f"{arguments.name}: an experiment fixes its own grid; only dataset=, paths. and parallel can be set "
+            "(for anything else: fracbench sweep)"
+        )
+    return _conduct(replace(experiment, grid=(*experiment.grid, *settings)), arguments)
+
+
+def _conduct(experiment: Experiment, arguments: argparse.Namespace) -> int:
+    """Plan, compute what is missing, store, draw."""
+    from fracbench import session
+
+    outcome = session.conduct(
+        experiment,
+        jobs=arguments.jobs,
+        dry_run=arguments.dry_run,
+        rerun_failed=arguments.rerun == "failed",
+    )
+    return EXIT_FAILED if outcome.failed else EXIT_DONE
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    from fracbench import session
+
+    session.run_one(arguments.overrides)
+    return EXIT_DONE
+
+
+def _estimate(arguments: argparse.Namespace) -> int:
+    from fracbench import session
+
+    session.estimate_files(
+        arguments.frame0,
+        arguments.frame1,
+        arguments.output,
+        color=arguments.color,
+        truth=arguments.truth,
+        method=arguments.method,
+        overrides=arguments.overrides,
+    )
+    return EXIT_DONE
+
+
+def _check(arguments: argparse.Namespace) -> int:
+    from fracbench import session
+
+    if arguments.update:
+        session.update_references(arguments.names, arguments.reason, jobs=arguments.jobs)
+        return EXIT_DONE
+    return EXIT_DONE if session.check_references(arguments.names, jobs=arguments.jobs) else EXIT_CHECK
+
+
+def _data(arguments: argparse.Namespace) -> int:
+    from fracbench.data import middlebury
+
+    if arguments.download:
+        middlebury.download(middlebury.cache_folder())
+    location = middlebury.find()
+    console.say(f"Middlebury: {location.folder} (from {location.source})")
+    whole = True
+    for name in middlebury.SEQUENCES:
+        state = middlebury.state(name, location.folder)
+        console.say(f"  {name:12s} {state.state}")
+        for file in state.files:
+            if file.state != "ok":
+                console.say(f"    {file.message}")
+        whole = whole and state.state == "ok"
+    return EXIT_DONE if whole else EXIT_CHECK
+
+
+def _methods(arguments: argparse.Namespace) -> int:
+    from fracbench.methods.registry import METHODS
+
+    for method in METHODS.values():
+        console.say(f"{method.name}: {method.label}, {method.summary}")
+        console.say(f"    depends on {', '.join(sorted(method.uses))}")
+    return EXIT_DONE
+
+
+if __name__ == "__main__":
+    console_entry()

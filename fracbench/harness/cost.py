@@ -1,0 +1,54 @@
+"""How long a plan will take, from what the store remembers of its like."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from statistics import median
+from typing import Any
+
+from fracbench.data.middlebury import SIZES
+from fracbench.harness.plan import Point
+from fracbench.harness.store import Row
+
+#: Used until the store holds a point of the method: seconds a pixel, one thread.
+ROUGH_SECONDS_PER_PIXEL = 1e-5
+_SCENE_PIXELS = 128 * 160
+
+
+def expected_seconds(points: Iterable[Point], rows: Iterable[Row], jobs: int) -> tuple[float, bool]:
+    """Estimate the time to compute points.
+
+    Parameters
+    ----------
+    points : iterable of Point
+        What is to be computed.
+    rows : iterable of Row
+        What was computed before.
+    jobs : int
+        Worker processes.
+
+    Returns
+    -------
+    seconds : float
+        Expected wall-clock time.
+    measured : bool
+        Whether every method's speed is known from the store; else a rough constant stands in.
+    """
+    speeds: dict[str, list[float]] = {}
+    for row in rows:
+        if row.status == "done" and row.seconds:
+            speeds.setdefault(row.spec["method"], []).append(row.seconds / _pixels(row.spec))
+    total, measured = 0.0, True
+    for point in points:
+        known = speeds.get(point.method)
+        measured = measured and bool(known)
+        total += _pixels(point.spec) * (median(known) if known else ROUGH_SECONDS_PER_PIXEL)
+    return total / jobs, measured
+
+
+def _pixels(spec: Any) -> int:
+    if spec["box"] is not None:
+        row0, row1, col0, col1 = spec["box"]
+        return int((row1 - row0 + 2 * spec["context"]) * (col1 - col0 + 2 * spec["context"]))
+    height, width = SIZES.get(spec["sequence"], (1, _SCENE_PIXELS))
+    return height * width

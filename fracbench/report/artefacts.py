@@ -1,0 +1,196 @@
+"""From a plan's rows to files: one renderer for each kind of artefact that an experiment can name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fracbench.errors import unknown_name
+from fracbench.harness.assets import asset
+from fracbench.harness.experiment import Experiment
+from fracbench.harness.plan import Plan
+from fracbench.harness.store import Row
+from fracbench.report import tables
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+#: A value counts as good as the best if its error is at most this much larger.
+FLAT = 0.02
+
+
+@dataclass
+class Artefact:
+    """What a renderer made.
+
+    Attributes
+    ----------
+    files : list of Path
+        Files written.
+    views : list of (str, pandas.DataFrame)
+        Tables for the terminal, with their titles; cells are strings.
+    lines : list of str
+        Sentences for the terminal.
+    """
+
+    files: list[Path] = field(default_factory=list)
+    views: list[tuple[str, pd.DataFrame]] = field(default_factory=list)
+    lines: list[str] = field(default_factory=list)
+
+
+Renderer = Callable[[Experiment, Plan, Mapping[str, Row], Path], Artefact]
+
+
+def render(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
+    """Draw an experiment's rows as the artefact it names.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        What is wanted.
+    plan : Plan
+        Its points.
+    rows : mapping of str to Row
+        Their rows, by key.
+    results : Path
+        The results folder.
+
+    Returns
+    -------
+    Artefact
+        Files, and what to show on the terminal.
+
+    Raises
+    ------
+    InputError
+        An unknown renderer, or a folder that cannot be written.
+    """
+    if experiment.artefact not in RENDERERS:
+        raise unknown_name("artefact", experiment.artefact, RENDERERS, f"experiment {experiment.name}")
+    return RENDERERS[experiment.artefact](experiment, plan, rows, results)
+
+
+def file_stem(name: str, plan: Plan, folder: Path) -> Path:
+    """Return where an artefact goes: what was computed on the synthetic scenes says so in its name."""
+    asked = plan.config.sequence.dataset
+    stand_in = plan.dataset == "synthetic" and asked != "synthetic"
+    return folder / (f"{name}_synthetic" if stand_in else name)
+
+
+def _table2(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
+    import pandas as pd
+
+    published = pd.read_csv(asset("results/published/table2.csv"))
+    comparison = tables.versus_published(tables.tidy(plan, rows), published)
+    stem = file_stem(experiment.name, plan, tables.ensure_folder(results / "tables"))
+    protocols = list(comparison["protocol"].unique())
+    artefact = Artefact([tables.write_table(comparison, stem)])
+    parts, latex = [f"# {experiment.title}\n"], []
+    for protocol in protocols:
+        table, sentences = tables.wide(comparison, protocol), tables.summary(comparison, protocol)
+        parts += [f"## Protocol `{protocol}`\n", tables.to_markdown(table) + "\n", "\n".join(sentences) + "\n"]
+        latex.append(tables.to_latex(table, f"{experiment.title} (protocol {protocol})".replace("_", r"\_")))
+        artefact.views.append((f"{experiment.title}, protocol {protocol}", tables.rounded(table)))
+        artefact.lines += [f"{protocol}: {sentence}" for sentence in sentences]
+    notes = [*plan.notices, *tables.footnote(rows, protocols)]
+    parts.append("\n\n".join(notes) + "\n")
+    latex += ["% " + line for line in notes]
+    artefact.files.append(tables.write_text("\n".join(parts), stem.with_name(stem.name + ".md")))
+    artefact.files.append(tables.write_text("\n".join(latex) + "\n", stem.with_name(stem.name + ".tex")))
+    artefact.lines += notes
+    return artefact
+
+
+def _sweep(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
+    table = tables.tidy(plan, rows)
+    stem = file_stem(experiment.name, plan, tables.ensure_folder(results / "sweeps"))
+    artefact = Artefact([tables.write_table(table, stem)])
+    names, numbers = split_varying(table, plan)
+    done = table[table["status"] == "done"]
+    if numbers and len(done):
+        best = best_values(done, names, numbers)
+        artefact.views.append((f"Best {', '.join(numbers)} (smaller errors are better)", best))
+    else:
+        shown = table[[*names, *numbers, *tables.METRICS, "status"]]
+        artefact.views.append((experiment.title, tables.rounded(shown)))
+    figure = _sweep_figure(experiment.title, table, names, numbers)
+    if figure is None:
+        artefact.lines.append("no plot: it takes one or two swept numbers, e.g. alpha=0:2:0.1")
+    else:
+        from fracbench.report.style import save_figure
+
+        artefact.files += save_figure(figure, stem)
+    return artefact
+
+
+def split_varying(table: pd.DataFrame, plan: Plan) -> tuple[list[str], list[str]]:
+    """Return the varying keys of a sweep that are names, and those that are numbers."""
+    keys = [key.removeprefix("params.") for key in plan.varying]
+    keys = ["sequence" if key == "region" and not table["region"].any() else key for key in keys]
+    keys = [key for key in keys if key in table.columns]
+    numeric = [key for key in keys if table[key].dtype.kind in "if"]
+    return [key for key in keys if key not in numeric], numeric
+
+
+def best_values(table: pd.DataFrame, names: list[str], numbers: list[str]) -> pd.DataFrame:
+    """Return for each combination of names where the errors are smallest, and how flat the minimum is.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        Finished rows of a sweep.
+    names, numbers : list of str
+        Varying keys.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Strings, for reading: the best values and errors; for one swept number the range within 2 % of the best.
+    """
+    import pandas as pd
+
+    records = []
+    groups = table.groupby(names, sort=False) if names else [((), table)]
+    for values, part in groups:
+        record: dict[str, Any] = dict(zip(names, values, strict=True))
+        for metric in ("aae", "aepe"):
+            best = part.loc[part[metric].idxmin()] if part[metric].notna().any() else None
+            shown = "none" if best is None else ", ".join(f"{best[number]:g}" for number in numbers)
+            record[f"{metric.upper()} best at"] = shown
+            record[metric.upper()] = "" if best is None else f"{best[metric]:.4f}"
+            if len(numbers) == 1 and best is not None:
+                near = part[part[metric] <= (1.0 + FLAT) * best[metric]][numbers[0]]
+                record[f"{metric.upper()} within {FLAT:.0%}"] = f"{near.min():g} to {near.max():g}"
+        records.append(record)
+    return pd.DataFrame(records)
+
+
+def _sweep_figure(title: str, table: pd.DataFrame, names: list[str], numbers: list[str]) -> Any:
+    from fracbench.report.figures import alpha_curves, heat_map
+
+    if not table["aepe"].notna().any():
+        return None
+    if len(numbers) == 1:
+        hue = None
+        if names:
+            hue = " / ".join(names)
+            table = table.assign(**{hue: table[names].astype(str).agg(", ".join, axis=1)})
+        note = "where the operator is the identity" if numbers == ["alpha"] else ""
+        return alpha_curves(
+            table, x=numbers[0], hue=hue, title=title, logx=_is_logarithmic(table[numbers[0]]), zero_note=note
+        )
+    if len(numbers) == 2 and not names:
+        return heat_map(table, x=numbers[0], y=numbers[1], title=title)
+    return None
+
+
+def _is_logarithmic(values: pd.Series) -> bool:
+    grid = np.unique(values.to_numpy(np.float64))
+    return bool(grid.size > 2 and grid[0] > 0 and np.ptp(np.diff(np.log(grid))) < 0.1 * np.ptp(np.diff(grid)))
+
+
+RENDERERS: dict[str, Renderer] = {"sweep": _sweep, "table2": _table2}

@@ -1,0 +1,345 @@
+"""What a command does from beginning to end: plan, run, store, draw, and say so."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fracbench import console
+from fracbench.errors import InputError
+from fracbench.harness import execute
+from fracbench.harness.experiment import Experiment
+from fracbench.harness.grid import parse_overrides
+from fracbench.harness.plan import Plan, make_plan
+from fracbench.harness.store import Row, Store
+
+if TYPE_CHECKING:
+    from fracbench.model.estimator import FlowResult
+
+STORE = Path("runs") / "store.sqlite"
+
+
+@dataclass
+class Conducted:
+    """What `conduct` came to: the plan, and how many of its points failed."""
+
+    plan: Plan
+    failed: int = 0
+
+
+def conduct(
+    experiment: Experiment, *, jobs: int | None = None, dry_run: bool = False, rerun_failed: bool = False
+) -> Conducted:
+    """Run what is missing of an experiment and write its artefact.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Grid and artefact.
+    jobs : int, optional
+        Worker processes; the configuration's number by default.
+    dry_run : bool, optional
+        Count points and minutes only.
+    rerun_failed : bool, optional
+        Compute points again that failed before.
+
+    Returns
+    -------
+    Conducted
+        The plan and the number of failed points.
+
+    Raises
+    ------
+    InputError
+        Anything that the user can put right.
+    """
+    if jobs is not None and jobs < 1:
+        raise InputError(f"--jobs must be at least 1, got {jobs}")
+    plan = make_plan(experiment.grid, allow_download=not dry_run)
+    for notice in plan.notices:
+        console.note(f"note: {notice}")
+    results, workers = plan.config.results, jobs or plan.config.parallel.jobs
+    if dry_run:
+        _announce(plan, results, workers, rerun_failed)
+        return Conducted(plan)
+    from fracbench.report.tables import ensure_folder
+
+    ensure_folder(results / STORE.parent)
+    with Store(results / STORE) as store:
+        report = _compute(plan, store, workers, rerun_failed, experiment.name)
+    from fracbench.report.artefacts import render
+
+    artefact = render(experiment, plan, report.rows, results)
+    for title, view in artefact.views:
+        console.show_table(view, title)
+    for line in artefact.lines:
+        console.say(line)
+    _say_settings(plan)
+    for path in artefact.files:
+        console.say(f"wrote {path}")
+    _say_failures(report.failed)
+    return Conducted(plan, len(report.failed))
+
+
+def _announce(plan: Plan, results: Path, jobs: int, rerun_failed: bool) -> None:
+    from fracbench.harness.cost import expected_seconds
+
+    with Store(results / STORE, readonly=True) as store:
+        report, todo = execute.missing(plan, store, rerun_failed=rerun_failed)
+        seconds, measured = expected_seconds(todo.values(), store.rows("done"), jobs)
+    basis = "from stored points of the same methods" if measured else "rough: nothing like it is stored yet"
+    console.say(
+        f"{len(plan.points)} points, {report.reused} stored, {len(todo)} to compute on {jobs} processes: "
+        f"about {seconds / 60:.1f} minutes ({basis})"
+    )
+    _say_settings(plan)
+
+
+def _compute(plan: Plan, store: Store, jobs: int, rerun_failed: bool, name: str) -> execute.Report:
+    _, todo = execute.missing(plan, store, rerun_failed=rerun_failed)
+    with console.progress(len(todo), name) as advance:
+        report = execute.run(plan, store, jobs=jobs, rerun_failed=rerun_failed, on_row=advance)
+    if report.computed:
+        why = ", ".join(f"{count} {reason}" for reason, count in sorted(report.reasons.items()))
+        console.note(f"{report.computed} points computed ({why}), {report.reused} taken from the store")
+    else:
+        console.note(f"nothing to compute: all {report.reused} points are in the store")
+    return report
+
+
+def _say_settings(plan: Plan) -> None:
+    config = plan.config
+    shared = {planned.labels["protocol"] for planned in plan.points}
+    boundaries = {planned.point.params.get("boundary") for planned in plan.points} - {None}
+    settings = [f"dataset {plan.dataset}", f"protocol {', '.join(sorted(shared))}"]
+    if boundaries:
+        settings.append(f"boundary {', '.join(sorted(map(str, boundaries)))}")
+    if config.region is not None:
+        settings.append(f"context {config.context} px")
+    console.say(f"settings: {'; '.join(settings)}; other parameters in the CSV")
+
+
+def _say_failures(failed: Sequence[Row]) -> None:
+    if not failed:
+        return
+    first = failed[0]
+    console.complain(
+        f"{len(failed)} points are not done (first: {first.status}: {first.error}); "
+        "the same command with --rerun failed tries them again"
+    )
+
+
+def check_references(names: Sequence[str], *, jobs: int) -> bool:
+    """Recompute stored tables and say, cell by cell, what moved.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Stored tables; all if empty.
+    jobs : int
+        Worker processes.
+
+    Returns
+    -------
+    bool
+        Whether all that could be compared hold.
+
+    Raises
+    ------
+    InputError
+        An unknown name, or no table at all.
+    """
+    from fracbench.harness import regression
+    from fracbench.report.tables import tidy
+
+    wanted = list(names) or regression.stored_tables()
+    if not wanted:
+        raise InputError("check: there is no stored table under results/reference")
+    holds, compared = True, 0
+    for name in wanted:
+        plan = regression.plan_of(name)
+        with console.progress(len(plan.unique()) if plan else 0, name) as advance:
+            verdict = regression.check(name, jobs=jobs, tabulate=tidy, on_row=advance)
+        if verdict.skipped:
+            console.say(f"{name}: SKIPPED: {verdict.skipped}")
+            continue
+        compared += 1
+        word = "holds" if not verdict.differences else f"{len(verdict.differences)} DIFFERENCES"
+        console.say(f"{name}: {word} ({verdict.cells} cells compared)")
+        for difference in verdict.differences:
+            console.say(f"  {difference}")
+        holds = holds and not verdict.differences
+    return holds and compared > 0
+
+
+def update_references(names: Sequence[str], reason: str, *, jobs: int) -> None:
+    """Rewrite stored tables and record the reason.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Stored tables; all if empty. An experiment that is not stored yet becomes so.
+    reason : str
+        Why the numbers change.
+    jobs : int
+        Worker processes.
+    """
+    from fracbench.harness import regression
+    from fracbench.report.tables import tidy
+
+    for name in list(names) or regression.stored_tables():
+        for path in regression.update(name, reason, jobs=jobs, tabulate=tidy):
+            console.say(f"wrote {path}")
+
+
+def run_one(tokens: Sequence[str]) -> None:
+    """Compute one configured flow and write it below ``results/runs/flows``.
+
+    Parameters
+    ----------
+    tokens : sequence of str
+        Overrides; they must stand for one point.
+
+    Raises
+    ------
+    InputError
+        More than one point, or anything else that the user can put right.
+    """
+    if parse_overrides(tokens).size > 1:
+        raise InputError(f"run takes one point, not a grid ({' '.join(tokens)}); use sweep")
+    plan = make_plan(tokens)
+    if len(plan.points) > 1:
+        raise InputError(f"run takes one point, {' '.join(tokens)} stands for {len(plan.points)}; use sweep")
+    for notice in plan.notices:
+        console.note(f"note: {notice}")
+    from fracbench.harness.task import point_arrays
+    from fracbench.methods.registry import get_method
+    from fracbench.model.params import FlowParams
+    from fracbench.report.tables import ensure_folder
+
+    planned = plan.points[0]
+    point = planned.point
+    folder = ensure_folder(plan.config.results / "runs" / "flows")
+    frame0, frame1, truth, inner = point_arrays(point, plan.folder)
+    result = get_method(point.method).estimate(frame0, frame1, FlowParams().replace(point.params))
+    flow = result.flow[(slice(None), *inner)]
+    name = "_".join(
+        filter(None, [planned.labels["region"] or planned.labels["sequence"], point.method, point.key[:8]])
+    )
+    _say_result(result)
+    if truth is not None:
+        say_errors(flow, truth[(slice(None), *inner)])
+    write_flow_and_picture(flow, folder / f"{name}.flo", None)
+    _say_settings(plan)
+
+
+def estimate_files(
+    frame0: Path,
+    frame1: Path,
+    output: Path,
+    *,
+    color: Path | None = None,
+    truth: Path | None = None,
+    method: str | None = None,
+    overrides: Sequence[str] = (),
+) -> None:
+    """Compute the flow between two image files and write it.
+
+    Parameters
+    ----------
+    frame0, frame1 : Path
+        Images.
+    output : Path
+        ``.flo``, or ``.png`` in KITTI's format.
+    color : Path, optional
+        Colour picture; beside `output` by default.
+    truth : Path, optional
+        True flow; its errors are printed.
+    method : str, optional
+        Name in the registry.
+    overrides : sequence of str, optional
+        Parameters as ``KEY=VALUE``.
+
+    Raises
+    ------
+    InputError
+        Anything that the user can put right; nothing is written then.
+    """
+    from fracbench.api import DEFAULT_METHOD, estimate_flow
+    from fracbench.data.files import read_flow, read_image
+
+    if output.suffix not in (".flo", ".png"):
+        raise InputError(f"{output}: a flow is written as .flo or as .png (KITTI), not as {output.suffix!r}")
+    grid = parse_overrides(overrides)
+    if grid.size > 1:
+        raise InputError(f"estimate takes one value a parameter ({' '.join(overrides)}); use sweep for grids")
+    first, second = read_image(frame0), read_image(frame1)
+    expected = None if truth is None else read_flow(truth)
+    if expected is not None and expected.shape[1:] != first.shape[:2]:
+        raise InputError(
+            f"{truth}: the true flow is {expected.shape[2]} x {expected.shape[1]}, the frames are "
+            f"{first.shape[1]} x {first.shape[0]} (width x height)"
+        )
+    values: dict[str, Any] = dict(next(grid.points()))
+    result = estimate_flow(first, second, method=method or DEFAULT_METHOD, **values)
+    preset = "preset recommended" if not overrides else f"preset recommended with {' '.join(overrides)}"
+    _say_result(result, preset)
+    if expected is not None:
+        say_errors(result.flow, expected)
+    write_flow_and_picture(result.flow, output, color)
+
+
+def _say_result(result: FlowResult, preset: str = "") -> None:
+    for notice in result.notices:
+        console.note(f"note: {notice}")
+    if result.stop_reason == "diverged":
+        raise InputError("the computation diverged: the flow is not finite; smaller lambda or theta may help")
+    iterations = sum(map(sum, result.iterations))
+    seconds = sum(result.seconds.values())
+    using = f"{result.method} ({preset})" if preset else result.method
+    console.say(f"{using}: {iterations} iterations, {result.stop_reason}, {seconds:.2f} s")
+
+
+def say_errors(flow: Any, truth: Any) -> None:
+    """Print the errors of a flow, in radians, pixels, degrees and shares.
+
+    Parameters
+    ----------
+    flow, truth : ndarray, shape (2, H, W)
+        Estimate and truth.
+    """
+    from fracbench.evaluation.metrics import accuracy, endpoint_error, flow_errors, robustness
+
+    errors = flow_errors(flow, truth)
+    distances = endpoint_error(flow, truth)
+    degrees, spread = errors.degrees
+    console.say(
+        f"AAE {errors.aae:.4f} rad ({degrees:.2f} deg), SDAE {errors.sdae:.4f} rad ({spread:.2f} deg), "
+        f"AEPE {errors.aepe:.4f} px, R1.0 {robustness(distances, 1.0):.2f} %, "
+        f"A95 {accuracy(distances, 95):.3f} px; {errors.n_pixels} pixels scored, "
+        f"{errors.n_unknown} of unknown truth, {errors.n_nonfinite} not finite"
+    )
+
+
+def write_flow_and_picture(flow: Any, path: Path, color: Path | None) -> None:
+    """Write a flow and its colour picture.
+
+    Parameters
+    ----------
+    flow : ndarray, shape (2, H, W)
+        Flow.
+    path : Path
+        ``.flo`` or KITTI ``.png``.
+    color : Path or None
+        The picture; ``NAME.color.png`` beside the flow by default.
+    """
+    from fracbench.data.files import write_flow, write_image
+    from fracbench.report.flowcolor import flow_to_color
+
+    picture = color or path.with_name(f"{path.stem}.color.png")
+    write_flow(path, flow)
+    write_image(picture, flow_to_color(flow))
+    console.say(f"wrote {path}")
+    console.say(f"wrote {picture}")
