@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from fracbench.harness.experiment import Experiment
 
 EXIT_DONE, EXIT_CHECK, EXIT_INPUT, EXIT_FAILED = 0, 1, 2, 3
+EXIT_INTERRUPTED = 130  # what a shell reports for SIGINT
 _EXITS = "exit codes: 0 done, 1 a check did not hold, 2 bad input, 3 finished but some points failed"
 
 
@@ -25,7 +26,7 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         choices = [name for action in self._subparsers_actions() for name in action.choices]
         given = message.partition("invalid choice: '")[2].partition("'")[0]
-        if given:
+        if given and choices:
             guess = nearest(given, choices)
             hint = f"did you mean {guess!r}? " if guess else ""
             message = f"unknown command {given!r}: {hint}(allowed: {', '.join(choices)})"
@@ -53,8 +54,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         command: Callable[[argparse.Namespace], int] = arguments.command
         return command(arguments)
     except FracbenchError as exc:
-        console.complain(str(exc))
+        console.complain(" ".join(str(exc).splitlines()))  # a file's name may hold a line break
         return EXIT_INPUT
+    except KeyboardInterrupt:
+        console.complain("interrupted; the points that were finished are stored")
+        return EXIT_INTERRUPTED
     except BrokenPipeError:
         # Whoever read our output has gone, e.g. `| head`: not an error, but nothing more can be printed.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fracbench import console
-from fracbench.errors import InputError
+from fracbench.errors import InputError, unknown_name
 from fracbench.harness import execute
 from fracbench.harness.experiment import Experiment
 from fracbench.harness.grid import parse_overrides
@@ -55,8 +56,8 @@ def conduct(
     InputError
         Anything that the user can put right.
     """
-    if jobs is not None and jobs < 1:
-        raise InputError(f"--jobs must be at least 1, got {jobs}")
+    if jobs is not None:
+        _require_workers(jobs)
     plan = make_plan(experiment.grid, allow_download=not dry_run)
     for notice in plan.notices:
         console.note(f"note: {notice}")
@@ -64,13 +65,13 @@ def conduct(
     if dry_run:
         _announce(plan, results, workers, rerun_failed)
         return Conducted(plan)
+    from fracbench.report.artefacts import render, require_renderer
     from fracbench.report.tables import ensure_folder
 
+    require_renderer(experiment)
     ensure_folder(results / STORE.parent)
     with Store(results / STORE) as store:
         report = _compute(plan, store, workers, rerun_failed, experiment.name)
-    from fracbench.report.artefacts import render
-
     artefact = render(experiment, plan, report.rows, results)
     for title, view in artefact.views:
         console.show_table(view, title)
@@ -81,6 +82,11 @@ def conduct(
         console.say(f"wrote {path}")
     _say_failures(report.failed)
     return Conducted(plan, len(report.failed))
+
+
+def _require_workers(jobs: int) -> None:
+    if jobs < 1:
+        raise InputError(f"--jobs must be at least 1, got {jobs}")
 
 
 def _announce(plan: Plan, results: Path, jobs: int, rerun_failed: bool) -> None:
@@ -154,9 +160,8 @@ def check_references(names: Sequence[str], *, jobs: int) -> bool:
     from fracbench.harness import regression
     from fracbench.report.tables import tidy
 
-    wanted = list(names) or regression.stored_tables()
-    if not wanted:
-        raise InputError("check: there is no stored table under results/reference")
+    _require_workers(jobs)
+    wanted = _stored(names)
     holds, compared = True, 0
     for name in wanted:
         plan = regression.plan_of(name)
@@ -174,6 +179,18 @@ def check_references(names: Sequence[str], *, jobs: int) -> bool:
     return holds and compared > 0
 
 
+def _stored(names: Sequence[str]) -> list[str]:
+    from fracbench.harness.regression import stored_tables
+
+    tables = stored_tables()
+    for name in names:
+        if name not in tables:
+            raise unknown_name("stored table", name, tables)
+    if not tables:
+        raise InputError("check: there is no stored table under results/reference")
+    return list(names) or tables
+
+
 def update_references(names: Sequence[str], reason: str, *, jobs: int) -> None:
     """Rewrite stored tables and record the reason.
 
@@ -185,11 +202,17 @@ def update_references(names: Sequence[str], reason: str, *, jobs: int) -> None:
         Why the numbers change.
     jobs : int
         Worker processes.
+
+    Raises
+    ------
+    InputError
+        Anything that the user can put right; nothing is written then.
     """
     from fracbench.harness import regression
     from fracbench.report.tables import tidy
 
-    for name in list(names) or regression.stored_tables():
+    _require_workers(jobs)
+    for name in list(names) or _stored(names):
         for path in regression.update(name, reason, jobs=jobs, tabulate=tidy):
             console.say(f"wrote {path}")
 
@@ -225,13 +248,13 @@ def run_one(tokens: Sequence[str]) -> None:
     frame0, frame1, truth, inner = point_arrays(point, plan.folder)
     result = get_method(point.method).estimate(frame0, frame1, FlowParams().replace(point.params))
     flow = result.flow[(slice(None), *inner)]
-    name = "_".join(
-        filter(None, [planned.labels["region"] or planned.labels["sequence"], point.method, point.key[:8]])
-    )
+    place = planned.labels["sequence" if point.box is None else "region"]
+    name = f"{place}_{point.method}_{point.key[:8]}"
     _say_result(result)
     if truth is not None:
         say_errors(flow, truth[(slice(None), *inner)])
-    write_flow_and_picture(flow, folder / f"{name}.flo", None)
+    output = folder / f"{name}.flo"
+    write_flow_and_picture(flow, output, picture_beside(output))
     _say_settings(plan)
 
 
@@ -269,12 +292,15 @@ def estimate_files(
     """
     from fracbench.api import DEFAULT_METHOD, estimate_flow
     from fracbench.data.files import read_flow, read_image
+    from fracbench.model.params import FlowParams
 
-    if output.suffix not in (".flo", ".png"):
-        raise InputError(f"{output}: a flow is written as .flo or as .png (KITTI), not as {output.suffix!r}")
     grid = parse_overrides(overrides)
     if grid.size > 1:
         raise InputError(f"estimate takes one value a parameter ({' '.join(overrides)}); use sweep for grids")
+    values: dict[str, Any] = dict(next(grid.points()))
+    FlowParams().replace(values)
+    picture = color or picture_beside(output)
+    _require_outputs(output, picture, [path for path in (frame0, frame1, truth) if path is not None])
     first, second = read_image(frame0), read_image(frame1)
     expected = None if truth is None else read_flow(truth)
     if expected is not None and expected.shape[1:] != first.shape[:2]:
@@ -282,13 +308,30 @@ def estimate_files(
             f"{truth}: the true flow is {expected.shape[2]} x {expected.shape[1]}, the frames are "
             f"{first.shape[1]} x {first.shape[0]} (width x height)"
         )
-    values: dict[str, Any] = dict(next(grid.points()))
     result = estimate_flow(first, second, method=method or DEFAULT_METHOD, **values)
     preset = "preset recommended" if not overrides else f"preset recommended with {' '.join(overrides)}"
     _say_result(result, preset)
     if expected is not None:
         say_errors(result.flow, expected)
-    write_flow_and_picture(result.flow, output, color)
+    write_flow_and_picture(result.flow, output, picture)
+
+
+def _require_outputs(output: Path, picture: Path, inputs: Sequence[Path]) -> None:
+    """Refuse, before anything is computed, what could not be written or would replace a file in use."""
+    from PIL import Image
+
+    if output.suffix.lower() not in (".flo", ".png"):
+        raise InputError(f"{output}: a flow is written as .flo or as .png (KITTI), not as {output.suffix!r}")
+    if picture.suffix.lower() not in Image.registered_extensions():
+        raise InputError(f"{picture}: no picture format has the suffix {picture.suffix!r}; use .png")
+    taken = {path.resolve() for path in inputs}
+    for path in (output, picture):
+        # Path.is_dir raises where a parent may not be entered
+        if not (os.path.isdir(path.parent) and os.access(path.parent, os.W_OK)):  # noqa: PTH112
+            raise InputError(f"{path}: {str(path.parent)!r} is not a folder that can be written to")
+        if path.resolve() in taken:
+            raise InputError(f"{path}: the command names this file twice; choose another output")
+        taken.add(path.resolve())
 
 
 def _say_result(result: FlowResult, preset: str = "") -> None:
@@ -323,7 +366,12 @@ def say_errors(flow: Any, truth: Any) -> None:
     )
 
 
-def write_flow_and_picture(flow: Any, path: Path, color: Path | None) -> None:
+def picture_beside(flow: Path) -> Path:
+    """Return where the colour picture of a flow goes unless told otherwise: ``NAME.color.png`` beside it."""
+    return flow.with_name(f"{flow.stem}.color.png")
+
+
+def write_flow_and_picture(flow: Any, path: Path, picture: Path) -> None:
     """Write a flow and its colour picture.
 
     Parameters
@@ -332,13 +380,12 @@ def write_flow_and_picture(flow: Any, path: Path, color: Path | None) -> None:
         Flow.
     path : Path
         ``.flo`` or KITTI ``.png``.
-    color : Path or None
-        The picture; ``NAME.color.png`` beside the flow by default.
+    picture : Path
+        The picture.
     """
     from fracbench.data.files import write_flow, write_image
     from fracbench.report.flowcolor import flow_to_color
 
-    picture = color or path.with_name(f"{path.stem}.color.png")
     write_flow(path, flow)
     write_image(picture, flow_to_color(flow))
     console.say(f"wrote {path}")

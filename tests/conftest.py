@@ -6,6 +6,7 @@ import pytest
 
 from fracbench.data import middlebury as middlebury_data
 from fracbench.errors import DataError
+from fracbench.harness.store import Row
 
 
 @pytest.fixture(scope="session")
@@ -18,3 +19,64 @@ def middlebury() -> Path:
     if found.n_files < len(middlebury_data.REGISTRY):
         pytest.skip(f"{found.folder} holds {found.n_files} of {len(middlebury_data.REGISTRY)} Middlebury files")
     return found.folder
+
+
+@pytest.fixture
+def work(tmp_path, monkeypatch) -> Path:
+    """An empty working folder, with no word from the environment about where data are."""
+    monkeypatch.delenv("FRACBENCH_DATA", raising=False)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def tiny() -> list[str]:
+    """Overrides for a point that takes a moment, on a rendered scene."""
+    return ["sequence=synthetic_flat", "n_scales=1", "n_warps=1", "max_iter=2"]
+
+
+@pytest.fixture
+def no_middlebury(monkeypatch) -> None:
+    """A machine without the Middlebury data and without a network."""
+
+    def unreachable(*_, **__):
+        raise DataError("the server cannot be reached")
+
+    monkeypatch.setattr(middlebury_data, "_look_up", lambda explicit: None)
+    monkeypatch.setattr(middlebury_data, "download", unreachable)
+
+
+@pytest.fixture
+def fake_rows():
+    """A function that makes up the rows of a plan: ``errors(labels, params)`` gives AAE, AEPE and SDAE."""
+
+    def make(plan, errors=lambda labels, params: (0.1, 0.2, 0.3), status="done", **changes):
+        rows = {}
+        for planned in plan.points:
+            aae, aepe, sdae = errors(planned.labels, planned.point.params)
+            result = {
+                "aae": aae,
+                "aepe": aepe,
+                "sdae": sdae,
+                "n_pixels": 100,
+                "n_unknown": 3,
+                "n_nonfinite": 0,
+                "iterations": [[10, 3], [4]],
+                "inner_iterations": [[20, 6], [8]],
+                "stop": "converged",
+            }
+            given = {
+                "key": planned.point.key,
+                "identity": planned.point.identity,
+                "spec": planned.point.spec,
+                "solver_version": 1,
+                "status": status,
+                "result": result if status == "done" else {},
+                "error": None if status == "done" else "made up",
+                "seconds": 1.5,
+                "provenance": {"python": "3.11.0", "versions": {"numpy": "2.0"}, "commit": "0" * 40},
+            }
+            rows[planned.point.key] = Row(**given | changes)
+        return rows
+
+    return make

@@ -170,8 +170,13 @@ def shrink(z, gamma):
     return [0.0 if norm == 0.0 else c / norm * max(norm - gamma, 0.0) for c in z]
 
 
-def shrink_and_update(du, b, gamma):
-    """Equation (shrinkalpha), d = shrink(D u + b, 1/mu), then equation (csbalpha), b + D u - d."""
+def shrink_and_update(du, b, gamma, relaxation=1.0, last_d=None):
+    """Equation (shrinkalpha), d = shrink(D u + b, 1/mu), then equation (csbalpha), b + D u - d.
+
+    Over-relaxed, ``relaxation D u + (1 - relaxation) d`` stands for D u in both, with the last d.
+    """
+    if last_d is not None:
+        du = relaxation * du + (1.0 - relaxation) * last_d
     d, new_b = np.empty_like(du), np.empty_like(b)
     pairs, _, height, width = du.shape
     for p in range(pairs):
@@ -201,6 +206,17 @@ def threshold(u, rho_c, gradient, lambda_, theta):
                 step = -rho * g / g2
             v[:, y, x] = u[:, y, x] + step
     return v
+
+
+def multiplier_step(u, w, c, rho_c, gradient, lambda_, theta, step, relaxation):
+    """ADMM on R(u) + F(w) with u = w and F(w) = min_v |w - v|^2 / (2 theta) + lambda |rho(v)|.
+
+    w = argmin F(w) + |w - u - c|^2 / (2 step) is the proximal map of a Moreau envelope; then c + u - w.
+    """
+    u = relaxation * u + (1.0 - relaxation) * w
+    v = threshold(u + c, rho_c, gradient, lambda_, theta + step)
+    w = u + c + step / (theta + step) * (v - u - c)
+    return w, c + u - w
 
 
 def mean_squared_change(a, b):

@@ -82,6 +82,9 @@ class RunConfig:
             raise InputError(f"context must be at least 0 pixels, got {self.context}")
         if self.shift is not None and not 0 <= self.shift < N_SHIFTS:
             raise InputError(f"shift must be in 0..{N_SHIFTS - 1}, got {self.shift}")
+        if self.region is None and (self.context > 0 or self.shift is not None):
+            given = f"context={self.context}" if self.context else f"shift={self.shift}"
+            raise InputError(f"{given} needs a region: without one the whole frame is used")
 
     def override(self, values: Mapping[str, str]) -> RunConfig:
         """Return a copy with parameters and settings changed.
@@ -109,7 +112,7 @@ class RunConfig:
             elif key == "parallel.jobs":
                 changes["parallel"] = dataclasses.replace(self.parallel, jobs=_whole(key, value))
             elif key in ("context", "shift"):
-                changes[key] = None if value == "null" else _whole(key, value)
+                changes[key] = None if key == "shift" and value == "null" else _whole(key, value)
             else:
                 changes[key.rpartition(".")[2]] = Path(value) if key == "paths.results" else value
         return dataclasses.replace(self, params=self.params.replace(params), **changes)
@@ -174,6 +177,7 @@ def _compose(choices: tuple[tuple[str, str], ...]) -> dict[str, Any]:
     from hydra.errors import HydraException
     from omegaconf import OmegaConf
     from omegaconf.errors import OmegaConfBaseException
+    from yaml import YAMLError
 
     names = dict(choices)
     region = names.pop("region", None)
@@ -189,7 +193,7 @@ def _compose(choices: tuple[tuple[str, str], ...]) -> dict[str, Any]:
             warnings.simplefilter("ignore")
             composed = compose("config", overrides=overrides)
         raw: dict[str, Any] = OmegaConf.to_container(composed, resolve=True)  # type: ignore[assignment]
-    except (HydraException, OmegaConfBaseException) as exc:
+    except (HydraException, OmegaConfBaseException, YAMLError) as exc:
         raise InputError(f"configuration {folder}: {' '.join(str(exc).split())}") from exc
     if region not in (None, "none") and sequence not in (None, raw["region"]["sequence"]):
         raise InputError(f"region={region} belongs to sequence={raw['region']['sequence']}, not to {sequence}")
@@ -235,7 +239,7 @@ def _typed(raw: Mapping[str, Any]) -> RunConfig:
         method=method,
         protocol=str(raw["protocol"]),
         sequence=_record(SequenceConfig, raw["sequence"], f"{where}, sequence"),
-        region=_region(raw["region"], f"{where}, region"),
+        region=None if raw["region"] is None else _record(Region, raw["region"], f"{where}, region"),
         params=params,
         parallel=_record(ParallelConfig, raw["parallel"], f"{where}, parallel"),
         dataset=raw["dataset"],
@@ -244,19 +248,6 @@ def _typed(raw: Mapping[str, Any]) -> RunConfig:
         data=raw["paths"]["data"],
         results=Path(raw["paths"]["results"]),
     )
-
-
-def _region(raw: Mapping[str, Any] | None, where: str) -> Region | None:
-    if raw is None:
-        return None
-    fields = {f.name for f in dataclasses.fields(Region)}
-    for key in raw:
-        if key not in fields:
-            raise unknown_name("key", str(key), fields, where)
-    values: dict[str, Any] = {
-        key: tuple(value) if isinstance(value, list) else value for key, value in raw.items()
-    }
-    return Region(**values)
 
 
 def _record(kind: type[T], raw: Mapping[str, Any], where: str) -> T:

@@ -38,12 +38,13 @@ def expected_seconds(points: Iterable[Point], rows: Iterable[Row], jobs: int) ->
     for row in rows:
         if row.status == "done" and row.seconds:
             speeds.setdefault(row.spec["method"], []).append(row.seconds / _pixels(row.spec))
-    total, measured = 0.0, True
+    seconds, measured = [], True
     for point in points:
         known = speeds.get(point.method)
         measured = measured and bool(known)
-        total += _pixels(point.spec) * (median(known) if known else ROUGH_SECONDS_PER_PIXEL)
-    return total / jobs, measured
+        seconds.append(_pixels(point.spec) * (median(known) if known else ROUGH_SECONDS_PER_PIXEL))
+    # No number of processes makes the longest point shorter.
+    return max(sum(seconds) / jobs, max(seconds, default=0.0)), measured
 
 
 def _pixels(spec: Any) -> int:

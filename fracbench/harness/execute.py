@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import tempfile
+import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Mapping
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from fracbench.errors import FracbenchError
 from fracbench.harness import provenance
 from fracbench.harness.plan import Plan, Point
 from fracbench.harness.store import Row, Store
@@ -127,13 +130,14 @@ def run(
     if on_start is not None:
         on_start(report, len(todo))
     commit = provenance.commit()
-    for key, outcome, attempts in outcomes(todo, plan.folder, jobs):
-        row = _row(key, todo[key], outcome, attempts, commit)
-        store.put(row)
-        report.rows[key] = row
-        report.computed += 1
-        if on_row is not None:
-            on_row(row)
+    with closing(outcomes(todo, plan.folder, jobs)) as results:
+        for key, outcome, attempts in results:
+            row = _row(key, todo[key], outcome, attempts, commit)
+            store.put(row)
+            report.rows[key] = row
+            report.computed += 1
+            if on_row is not None:
+                on_row(row)
     return report
 
 
@@ -153,7 +157,9 @@ def _row(key: str, point: Point, outcome: Any, attempts: int, commit: Mapping[st
     )
 
 
-def outcomes(todo: Mapping[str, Point], folder: Path | None, jobs: int) -> Iterator[tuple[str, Any, int]]:
+def outcomes(
+    todo: Mapping[str, Point], folder: Path | None, jobs: int
+) -> Generator[tuple[str, Any, int], None, None]:
     """Compute points in worker processes, in any order; a worker's death costs no other point.
 
     Parameters
@@ -173,22 +179,33 @@ def outcomes(todo: Mapping[str, Point], folder: Path | None, jobs: int) -> Itera
         How it ended.
     attempts : int
         How often it was started.
+
+    Raises
+    ------
+    FracbenchError
+        Workers die, again and again, before they have begun with a point.
     """
     if not todo:
         return
     from fracbench.harness.task import Outcome
 
-    pending, attempts = dict(todo), Counter[str]()
+    pending, attempts, deaths_at_rest = dict(todo), Counter[str](), 0
     with tempfile.TemporaryDirectory(prefix="fracbench-") as name:
         started = Path(name)
         while pending:
             # Those that were under way when a worker died run alone: a second death then tells whose it was.
             suspects = [key for key in pending if attempts[key]]
             batch = {suspects[0]: pending[suspects[0]]} if suspects else pending
-            for key, outcome in _until_death(batch, folder, 1 if suspects else jobs, started):
-                del pending[key]
-                yield key, outcome, attempts[key] + 1
-            for key in [key for key in pending if (started / key).exists()]:
+            before = len(pending)
+            with closing(_until_death(batch, folder, 1 if suspects else jobs, started)) as results:
+                for key, outcome in results:
+                    del pending[key]
+                    yield key, outcome, attempts[key] + 1
+            under_way = [key for key in pending if (started / key).exists()]
+            deaths_at_rest = 0 if under_way or len(pending) < before else deaths_at_rest + 1
+            if deaths_at_rest == MAX_ATTEMPTS:
+                raise FracbenchError("worker processes die before they begin with a point (out of memory?)")
+            for key in under_way:
                 (started / key).unlink()
                 attempts[key] += 1
                 if attempts[key] == MAX_ATTEMPTS:
@@ -199,13 +216,16 @@ def outcomes(todo: Mapping[str, Point], folder: Path | None, jobs: int) -> Itera
 
 def _until_death(
     batch: Mapping[str, Point], folder: Path | None, jobs: int, started: Path
-) -> Iterator[tuple[str, Any]]:
+) -> Generator[tuple[str, Any], None, None]:
     """Yield outcomes until the batch is through or a worker dies."""
     from joblib import Parallel, delayed, parallel_config
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
     with parallel_config(backend="loky", inner_max_num_threads=1):
-        pool = Parallel(n_jobs=min(jobs, len(batch)), return_as="generator_unordered", batch_size=1)
+        # With n_jobs=1 joblib computes in this process, which a crash would take along: there are two
+        # workers at least, and pre_dispatch says how many of them have work at a time.
+        workers = max(2, min(jobs, len(batch)))
+        pool = Parallel(workers, return_as="generator_unordered", pre_dispatch=jobs, batch_size=1)
         results = pool(delayed(_marked)(key, point, folder, started) for key, point in list(batch.items()))
         try:
             for key, outcome in results:
@@ -213,11 +233,15 @@ def _until_death(
                 yield key, outcome
         except TerminatedWorkerError:
             return
+        finally:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # that points under way are given up: the caller has said why
+                results.close()
 
 
 def _marked(key: str, point: Point, folder: Path | None, started: Path) -> tuple[str, Any]:
     """Leave a mark while the point is under way, so that the parent knows whom a death concerns."""
+    (started / key).touch()
     from fracbench.harness.task import run_point
 
-    (started / key).touch()
     return key, run_point(point, folder)

@@ -17,6 +17,9 @@ from fracbench.harness.grid import MAX_POINTS, Axis, Grid, canonical_number, exp
 from fracbench.harness.store import canonical_json
 from fracbench.model import SOLVER_VERSION
 
+#: Keys that cannot be swept.
+_FOR_ALL = ("dataset", "paths.data", "paths.results", "parallel", "parallel.jobs")
+
 
 @dataclass(frozen=True)
 class Point:
@@ -95,6 +98,8 @@ class Plan:
         What the user should be told.
     config : RunConfig
         Configuration of the first point, for settings that hold for all.
+    stand_in : bool
+        Whether synthetic scenes take the place of Middlebury sequences that were asked for.
     """
 
     points: tuple[PlannedPoint, ...]
@@ -103,6 +108,7 @@ class Plan:
     folder: Path | None
     config: RunConfig
     notices: tuple[str, ...] = field(default=())
+    stand_in: bool = False
 
     def unique(self) -> dict[str, Point]:
         """Return the distinct points by key, in order."""
@@ -133,16 +139,16 @@ def make_plan(tokens: Sequence[str], *, allow_download: bool = True) -> Plan:
     if grid.size > MAX_POINTS:
         raise InputError(f"{' '.join(tokens)}: {grid.size} points are more than the limit of {MAX_POINTS}")
     _check_keys(grid)
-    values = list(grid.points())
-    first = _configure(values[0])
-    resolved = _resolve_data(first, allow_download)
-    points: list[PlannedPoint] = []
-    for point_values in values:
-        config = _configure(point_values)
-        points.append(_planned(config, point_values, resolved.dataset, resolved.folder))
+    configs = [_configure(values) for values in grid.points()]
+    wanting = next((config for config in configs if config.sequence.dataset != "synthetic"), None)
+    resolved = _resolve_data(wanting or configs[0], allow_download)
+    points = [_planned(config, resolved.dataset, resolved.folder) for config in configs]
     notices = [resolved.notice] if resolved.notice else []
     notices += _idle_keys(grid.varying, points)
-    return Plan(tuple(points), grid.varying, resolved.dataset, resolved.folder, first, tuple(notices))
+    stand_in = wanting is not None and resolved.dataset == "synthetic"
+    return Plan(
+        tuple(points), grid.varying, resolved.dataset, resolved.folder, configs[0], tuple(notices), stand_in
+    )
 
 
 def _expand_globs(grid: Grid) -> Grid:
@@ -165,10 +171,16 @@ def _expand_globs(grid: Grid) -> Grid:
 
 def _check_keys(grid: Grid) -> None:
     allowed = known_keys()
-    for axis in grid.axes:
-        for key in axis.keys:
-            if key.removeprefix("params.") not in allowed:
-                raise unknown_name("key", key, allowed)
+    keys = [key for axis in grid.axes for key in axis.keys]
+    for key in keys:
+        name = key.removeprefix("params.")
+        if name not in allowed:
+            raise unknown_name("key", key, allowed)
+        if name != key and name in keys:
+            raise InputError(f"{name!r} and {key!r} are the same key, given twice")
+    for key in grid.varying:
+        if key in _FOR_ALL:
+            raise InputError(f"{key!r} takes one value, which holds for all points")
 
 
 def _configure(values: Mapping[str, str]) -> RunConfig:
@@ -184,7 +196,7 @@ def _resolve_data(config: RunConfig, allow_download: bool) -> Any:
     return middlebury.resolve(dataset, config.data, allow_download)
 
 
-def _planned(config: RunConfig, values: Mapping[str, str], dataset: str, folder: Path | None) -> PlannedPoint:
+def _planned(config: RunConfig, dataset: str, folder: Path | None) -> PlannedPoint:
     name, region = config.sequence.name, config.region
     if config.sequence.dataset == "synthetic":
         dataset = "synthetic"
@@ -197,7 +209,7 @@ def _planned(config: RunConfig, values: Mapping[str, str], dataset: str, folder:
         params=canonical_params(config),
         dataset=dataset,
         sequence=name,
-        box=_box(region, config.shift, name),
+        box=_box(region, config.shift, name, dataset),
         context=config.context if region else 0,
         data_digest=_digest(name, dataset, folder),
     )
@@ -207,7 +219,7 @@ def _planned(config: RunConfig, values: Mapping[str, str], dataset: str, folder:
         "region": config.region.name if config.region else "",
         "method": config.method.name,
         "protocol": config.protocol,
-        "context": str(point.context),
+        "context": str(config.context),
     }
     if config.shift is not None:
         labels["shift"] = str(config.shift)
@@ -242,14 +254,24 @@ def canonical_value(value: Any) -> str:
     return str(value)
 
 
-def _box(region: Region | None, shift: int | None, sequence: str) -> tuple[int, int, int, int] | None:
+def _box(
+    region: Region | None, shift: int | None, sequence: str, dataset: str
+) -> tuple[int, int, int, int] | None:
     if region is None:
         return None
     if shift is not None:
+        region = shifted(region, _shape(sequence, dataset))[shift]
+    return (*region.rows, *region.cols)
+
+
+def _shape(sequence: str, dataset: str) -> tuple[int, int]:
+    if dataset == "middlebury":
         from fracbench.data.middlebury import SIZES
 
-        region = shifted(region, SIZES[sequence])[shift]
-    return (*region.rows, *region.cols)
+        return SIZES[sequence]
+    from fracbench.data import synthetic
+
+    return synthetic.scene(sequence).shape
 
 
 @lru_cache(maxsize=64)

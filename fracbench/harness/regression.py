@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from fracbench.errors import InputError, unknown_name
 from fracbench.harness import execute, provenance
-from fracbench.harness.assets import asset
+from fracbench.harness.assets import asset, checkout
 from fracbench.harness.experiment import Experiment, load_experiment
 from fracbench.harness.plan import Plan, make_plan
 from fracbench.harness.store import Row, Store
@@ -39,9 +39,16 @@ class Tolerance:
     basis: str
     reason: str
 
+    def __post_init__(self) -> None:
+        for bound in (self.absolute, self.relative):
+            if not (math.isfinite(bound) and bound >= 0):
+                raise ValueError(f"a tolerance must be finite and at least 0, got {bound}")
+        if not (self.basis.strip() and self.reason.strip()):
+            raise ValueError("a tolerance needs its basis and its reason")
+
     def allows(self, stored: float, found: float) -> bool:
-        """Tell whether `found` may stand for `stored`; a NaN never may."""
-        return abs(found - stored) <= self.absolute + self.relative * abs(stored)
+        """Tell whether `found` may stand for `stored`; what is not finite never may."""
+        return math.isfinite(stored) and abs(found - stored) <= self.absolute + self.relative * abs(stored)
 
 
 @dataclass(frozen=True)
@@ -109,16 +116,23 @@ def check(name: str, *, jobs: int, tabulate: Tabulate, on_row: Callable[[Row], N
     InputError
         No such table, or a file that cannot be read.
     """
-    import pandas as pd
-
     if name not in stored_tables():
         raise unknown_name("stored table", name, stored_tables())
     plan = plan_of(name)
     if plan is None:
         return Verdict(name, skipped="the Middlebury data cannot be had here")
-    stored = pd.read_csv(asset(f"results/reference/{name}.csv"), dtype=str, keep_default_na=False)
+    stored, tolerances = _read(asset(f"results/reference/{name}.csv")), load_tolerances()
     found = reference_table(plan, recompute(plan, jobs, on_row), tabulate)
-    return compare(name, stored, found, load_tolerances())
+    return compare(name, stored, found, tolerances)
+
+
+def _read(path: Path) -> pd.DataFrame:
+    import pandas as pd
+
+    try:
+        return pd.read_csv(path, dtype=str, keep_default_na=False)
+    except (OSError, ValueError) as exc:  # pandas' parser errors are ValueErrors
+        raise InputError(f"{path}: cannot be read as a table: {' '.join(str(exc).split())}") from exc
 
 
 def plan_of(name: str) -> Plan | None:
@@ -127,7 +141,7 @@ def plan_of(name: str) -> Plan | None:
     experiment: Experiment = load_experiment(base)
     dataset = "synthetic" if base != name else "auto"
     plan = make_plan((*experiment.grid, f"dataset={dataset}"))
-    return plan if (plan.dataset == "synthetic") == (dataset == "synthetic") else None
+    return None if plan.stand_in and dataset == "auto" else plan
 
 
 def recompute(plan: Plan, jobs: int, on_row: Callable[[Row], None] | None = None) -> dict[str, Row]:
@@ -140,13 +154,18 @@ def recompute(plan: Plan, jobs: int, on_row: Callable[[Row], None] | None = None
 
 
 def reference_table(plan: Plan, rows: Mapping[str, Row], tabulate: Tabulate) -> pd.DataFrame:
-    """Return the columns of a tidy table that are stored: labels, swept keys, errors, counts; all as text."""
+    """Return the columns of a tidy table that are stored: labels, swept keys, errors, counts; all as text.
+
+    A cell that has no value is empty, such as alpha for a method without; rows then equal are one.
+    """
+    import pandas as pd
+
     table = tabulate(plan, rows)
     keys = _key_columns(plan, table)
     kept = table[[*keys, *MEASURED, *COUNTED]].copy()
     for column in MEASURED:
         kept[column] = [f"{value:.9g}" for value in kept[column]]
-    return kept.astype(str)
+    return kept.map(lambda value: "" if pd.isna(value) else str(value)).drop_duplicates(ignore_index=True)
 
 
 def _key_columns(plan: Plan, table: pd.DataFrame) -> list[str]:
@@ -233,7 +252,7 @@ def load_tolerances() -> dict[str, Tolerance]:
     try:
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
         tolerances = {column: Tolerance(**raw[column]) for column in MEASURED}
-    except (OSError, tomllib.TOMLDecodeError, KeyError, TypeError) as exc:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as exc:
         raise InputError(
             f"{path}: each of {', '.join(MEASURED)} needs absolute, relative, basis, reason: {exc}"
         ) from exc
@@ -268,18 +287,20 @@ def update(
 
     if not reason.strip():
         raise InputError('check --update needs --reason "why the stored numbers change"')
+    if checkout() is None:
+        raise InputError("check --update: there is no checkout to write to; stored tables are part of one")
     plan = plan_of(name)
     if plan is None:
         raise InputError(f"{name}: the Middlebury data cannot be had here")
+    folder = asset("results/reference")
+    history = folder / f"{name}.json"
+    entries = _entries(history)
     rows = recompute(plan, jobs, on_row)
     failed = [row for row in rows.values() if row.status != "done"]
     if failed:
         raise InputError(
             f"{name}: {len(failed)} points are not done (first: {failed[0].error}); nothing was written"
         )
-    folder = asset("results/reference")
-    history = folder / f"{name}.json"
-    entries = json.loads(history.read_text(encoding="utf-8")) if history.is_file() else []
     entries.append(_entry(reason, next(iter(rows.values()))))
     contents = {
         folder / f"{name}.csv": reference_table(plan, rows, tabulate).to_csv(index=False, lineterminator="\n"),
@@ -289,6 +310,14 @@ def update(
         with atomic_path(path) as temporary:
             temporary.write_text(text, encoding="utf-8")
     return list(contents)
+
+
+def _entries(history: Path) -> list[Any]:
+    try:
+        entries: list[Any] = json.loads(history.read_text(encoding="utf-8")) if history.is_file() else []
+    except (OSError, ValueError) as exc:
+        raise InputError(f"{history}: cannot be read as JSON: {exc}") from exc
+    return entries
 
 
 def _entry(reason: str, row: Row) -> dict[str, Any]:

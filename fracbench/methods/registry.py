@@ -14,9 +14,10 @@ from fracbench.errors import unknown_name
 from fracbench.model.params import FlowParams
 
 _PYRAMID = frozenset(FlowParams.names()) - {
-    "alpha", "lambda_sb", "boundary", "pad", "u_solver", "inner", "tol", "max_inner", "tau"
+    "alpha", "boundary", "pad", "tau", "lambda_sb", "u_solver", "inner", "tol", "max_inner", "coupling",
+    "coupling_step", "relaxation"
 }  # fmt: skip
-_BREGMAN = _PYRAMID | {"lambda_sb", "u_solver", "inner", "tol", "max_inner"}
+_BREGMAN = frozenset(FlowParams.names()) - {"alpha", "boundary", "pad", "tau"}
 
 
 @dataclass(frozen=True)
@@ -114,7 +115,7 @@ register(
         "split Bregman with forward differences, no flux through the border (Algorithms 1-3)",
         "fracbench.methods.variational:tvl1_sb",
         _BREGMAN,
-        {"u_solver": "gauss_seidel", "inner": "cold"},
+        {"u_solver": "gauss_seidel", "inner": "cold", "coupling": "penalty"},
     )
 )
 register(

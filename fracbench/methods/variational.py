@@ -9,6 +9,7 @@ from fracbench.model.estimator import FlowResult, coarse_to_fine
 from fracbench.model.fractional import GradientOperator, NaturalGradient, make_operator
 from fracbench.model.params import FlowParams
 from fracbench.model.regularizers import Regularizer, SplitBregman, TVDual
+from fracbench.model.solver import MultiplierStep, PenaltyStep, VStep
 
 
 def tvl1(frame0: Array, frame1: Array, params: FlowParams, *, trace: bool = False) -> FlowResult:
@@ -18,12 +19,18 @@ def tvl1(frame0: Array, frame1: Array, params: FlowParams, *, trace: bool = Fals
 
 def tvl1_sb(frame0: Array, frame1: Array, params: FlowParams, *, trace: bool = False) -> FlowResult:
     """Compute TV-L1-SB flow (Algorithm 3)."""
-    return coarse_to_fine(frame0, frame1, params, _split_bregman, method="tvl1_sb", trace=trace)
+    return coarse_to_fine(frame0, frame1, params, _split_bregman, _v_step, method="tvl1_sb", trace=trace)
 
 
 def tvl1_sb_alpha(frame0: Array, frame1: Array, params: FlowParams, *, trace: bool = False) -> FlowResult:
     """Compute TV-L1-SB-alpha flow (Algorithm 4)."""
-    return coarse_to_fine(frame0, frame1, params, _split_bregman_alpha, method="tvl1_sb_alpha", trace=trace)
+    return coarse_to_fine(
+        frame0, frame1, params, _split_bregman_alpha, _v_step, method="tvl1_sb_alpha", trace=trace
+    )
+
+
+def _v_step(like: Array, params: FlowParams) -> VStep:
+    return MultiplierStep(like, params) if params.coupling == "multiplier" else PenaltyStep(like, params)
 
 
 def _tv_dual(params: FlowParams, shape: tuple[int, int], dtype: np.dtype) -> Regularizer:
@@ -39,12 +46,14 @@ def _split_bregman_alpha(params: FlowParams, shape: tuple[int, int], dtype: np.d
 
 
 def _bregman(operator: GradientOperator, params: FlowParams) -> SplitBregman:
+    multiplier = params.coupling == "multiplier"
     return SplitBregman(
         operator,
-        params.theta,
+        params.coupling_step if multiplier else params.theta,
         params.lambda_sb,
         u_solver=params.u_solver,
         inner=params.inner,
+        relaxation=params.relaxation if multiplier else 1.0,
         tol=params.tol,
         max_inner=params.max_inner,
     )

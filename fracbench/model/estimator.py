@@ -12,9 +12,10 @@ from fracbench.model import pyramid
 from fracbench.model.arrays import Array
 from fracbench.model.params import FlowParams
 from fracbench.model.regularizers import Regularizer
-from fracbench.model.solver import LevelReport, Stopwatch, solve_level
+from fracbench.model.solver import LevelReport, PenaltyStep, Stopwatch, VStep, solve_level
 
 RegularizerFactory = Callable[[FlowParams, tuple[int, int], np.dtype], Regularizer]
+VStepFactory = Callable[[Array, FlowParams], VStep]
 
 
 @dataclass
@@ -64,6 +65,7 @@ def coarse_to_fine(
     frame1: Array,
     params: FlowParams,
     make_regularizer: RegularizerFactory,
+    make_v_step: VStepFactory = PenaltyStep,
     *,
     method: str = "",
     trace: bool = False,
@@ -78,6 +80,8 @@ def coarse_to_fine(
         Parameters.
     make_regularizer : callable
         Gives the u-step for a scale.
+    make_v_step : callable, optional
+        Gives the v-step for a scale: the paper's by default.
     method : str, optional
         Name for the result.
     trace : bool, optional
@@ -109,7 +113,10 @@ def coarse_to_fine(
             flow = pyramid.upsample_flow(flow, shapes[s], params.upsample_gain)
         regularizer = make_regularizer(params, shapes[s], dtype)
         watch.lap("setup")
-        flow, report = solve_level(pyramids[0][s], pyramids[1][s], flow, params, regularizer, watch, trace=trace)
+        v_step = make_v_step(flow, params)
+        flow, report = solve_level(
+            pyramids[0][s], pyramids[1][s], flow, params, regularizer, v_step, watch, trace=trace
+        )
         levels.append(report)
     return FlowResult(
         np.asarray(flow, np.float32), method, params, levels, dict(watch.seconds), _notices(params, shapes)

@@ -104,6 +104,16 @@ class FlowParams:
     inner: Literal["warm", "cold"] = _param(
         "warm", "split Bregman state: kept between calls, or started anew", paper_range="cold"
     )
+    coupling: Literal["multiplier", "penalty"] = _param(
+        "multiplier", "how v- and u-step are brought together: ADMM, or the paper's penalty alone",
+        paper_range="penalty",
+    )  # fmt: skip
+    coupling_step: float = _param(
+        3.0, "inverse penalty of coupling=multiplier", paper_range="(theta)", low=0.0, open_low=True
+    )
+    relaxation: float = _param(
+        1.7, "over-relaxation of coupling=multiplier; 1: none", paper_range="(1)", low=1.0, high=1.9
+    )
     tol: float = _param(
         0.01,
         "stopping threshold of the cold inner loop, pixels",

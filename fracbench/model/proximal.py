@@ -52,7 +52,70 @@ def threshold(u: Array, rho_c: Array, gradient: Array, lambda_theta: float, v: A
 
 
 @jit
-def shrink_update(du: Array, b: Array, threshold: float, g: Array) -> None:
+def coupled_threshold(
+    u: Array,
+    rho_c: Array,
+    gradient: Array,
+    lambda_: float,
+    theta: float,
+    step: float,
+    relaxation: float,
+    c: Array,
+    target: Array,
+) -> None:
+    """Take the v-step with a multiplier `c` on the constraint that the data term and R see one flow (ADMM).
+
+    The data term ``F(w) = min_v |w - v|^2 / (2 theta) + lambda |rho(v)|`` is given a flow ``w`` of its own.
+    With ``z = u + c``: ``v = z + TH(z)`` for the tightness ``theta + step``, ``w = z + step / (step + theta)
+    (v - z)``, ``c <- z - w``; the u-step then regularises ``target = w - c`` with the tightness `step`. The
+    minimiser is that of E(u, v); the paper's alternation is ``c = 0``, ``w = v``, ``step = theta``.
+
+    Parameters
+    ----------
+    u : ndarray, shape (2, H, W)
+        Flow.
+    rho_c, gradient : ndarray, shapes (H, W) and (2, H, W)
+        The residual, as in `threshold`.
+    lambda_, theta : float
+        Data attachment weight and tightness.
+    step : float
+        Inverse of the penalty on the constraint.
+    relaxation : float
+        In place of u takes ``relaxation u + (1 - relaxation) w``, with the last w; 1 for none.
+    c : ndarray, shape (2, H, W)
+        Multiplier, overwritten.
+    target : ndarray, shape (2, H, W)
+        The last target, overwritten by the next: what the u-step regularises.
+    """
+    share = step / (step + theta)
+    lambda_theta = lambda_ * (theta + step)
+    _, height, width = u.shape
+    for i in range(height):
+        for j in range(width):
+            gx, gy = gradient[0, i, j], gradient[1, i, j]
+            c1, c2 = c[0, i, j], c[1, i, j]
+            z1 = c1 + relaxation * u[0, i, j] + (1.0 - relaxation) * (target[0, i, j] + c1)
+            z2 = c2 + relaxation * u[1, i, j] + (1.0 - relaxation) * (target[1, i, j] + c2)
+            g2 = gx * gx + gy * gy
+            rho = rho_c[i, j] + gx * z1 + gy * z2
+            bound = lambda_theta * g2
+            if rho < -bound:
+                move = lambda_theta
+            elif rho > bound:
+                move = -lambda_theta
+            elif g2 < GRADIENT_IS_ZERO:
+                move = 0.0
+            else:
+                move = -rho / g2
+            move *= share  # w - z, which is also -c
+            c[0, i, j] = -move * gx
+            c[1, i, j] = -move * gy
+            target[0, i, j] = z1 + 2.0 * move * gx
+            target[1, i, j] = z2 + 2.0 * move * gy
+
+
+@jit
+def shrink_update(du: Array, b: Array, threshold: float, relaxation: float, g: Array) -> None:
     """Shrink, update the Bregman variable, and form what the next u-step needs.
 
     With ``z = D u + b``: ``d = shrink(z, threshold)`` (isotropic, each (x, y) pair by its euclidean
@@ -66,15 +129,19 @@ def shrink_update(du: Array, b: Array, threshold: float, g: Array) -> None:
         Bregman variable, overwritten.
     threshold : float
         ``1 / mu``.
+    relaxation : float
+        In place of D u takes ``relaxation D u + (1 - relaxation) d``, with the last d; 1 for none.
     g : ndarray, shape (pairs, 2, h, w)
-        Output ``d - b``.
+        ``d - b``, overwritten by the next.
     """
     pairs, _, height, width = du.shape
+    rest = 1.0 - relaxation
     for p in range(pairs):
         for i in range(height):
             for j in range(width):
-                zx = du[p, 0, i, j] + b[p, 0, i, j]
-                zy = du[p, 1, i, j] + b[p, 1, i, j]
+                bx, by = b[p, 0, i, j], b[p, 1, i, j]
+                zx = relaxation * du[p, 0, i, j] + rest * (g[p, 0, i, j] + bx) + bx
+                zy = relaxation * du[p, 1, i, j] + rest * (g[p, 1, i, j] + by) + by
                 norm = math.sqrt(zx * zx + zy * zy)
                 # b is the projection of z on the ball of radius `threshold`; d is the rest.
                 kept = 1.0 if norm <= threshold else threshold / norm

@@ -131,13 +131,15 @@ class SplitBregman:
     operator : GradientOperator
         The gradient; `NaturalGradient` makes it Algorithm 3, the others Algorithm 4.
     theta, mu : float
-        Tightness and split Bregman parameter lambda_sb.
+        Tightness of the coupling of u and v, and split Bregman parameter lambda_sb.
     u_solver : {'exact', 'gauss_seidel'}
         Division in the operator's basis, or one sweep in raster order.
     inner : {'warm', 'cold'}
         `warm` keeps d and b between calls and takes one Bregman step a call. `cold` is the paper's:
         each call starts from u = v, d = b = 0 and iterates until the root mean square of a
         component's change is at most `tol`, or `max_inner` times.
+    relaxation : float
+        Over-relaxation of a warm step, in (0, 2); a cold one is never relaxed.
     tol : float
         See `inner`, pixels.
     max_inner : int
@@ -152,6 +154,7 @@ class SplitBregman:
         *,
         u_solver: str = "exact",
         inner: str = "warm",
+        relaxation: float = 1.0,
         tol: float = 0.01,
         max_inner: int = 30,
     ) -> None:
@@ -159,6 +162,7 @@ class SplitBregman:
         self._theta, self._mu = theta, mu
         self._exact = u_solver == "exact"
         self._cold = inner == "cold"
+        self._relaxation = 1.0 if self._cold else relaxation
         self._tol, self._max_inner = tol, max_inner
         self._b = np.zeros((2, *operator.range_shape), operator.dtype)
         self._g = np.zeros_like(self._b)
@@ -221,7 +225,7 @@ class SplitBregman:
         else:
             self._sweep(u, rhs)
             du = operator.apply(u)
-        shrink_update(du, self._b[component], 1.0 / self._mu, g)
+        shrink_update(du, self._b[component], 1.0 / self._mu, self._relaxation, g)
 
     def _sweep(self, u: Array, rhs: Array) -> None:
         if isinstance(self.operator, NaturalGradient):

@@ -5,13 +5,14 @@ from __future__ import annotations
 import time
 from collections import defaultdict
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
 from fracbench.model.arrays import Array
 from fracbench.model.energy import energy
 from fracbench.model.params import FlowParams
-from fracbench.model.proximal import mean_squared_change, threshold
+from fracbench.model.proximal import coupled_threshold, mean_squared_change, threshold
 from fracbench.model.regularizers import Regularizer
 from fracbench.model.warping import Linearization, central_gradient, linearize
 
@@ -31,7 +32,7 @@ class LevelReport:
     stop : list of str
         ``"converged"``, ``"max_iter"`` or ``"diverged"``, one a warp.
     energy : list of list of float
-        E(u, v) after each iteration, a list a warp; empty unless asked for.
+        E(u, v) after each iteration at the best v for its u, a list a warp; empty unless asked for.
     """
 
     shape: tuple[int, int]
@@ -55,12 +56,89 @@ class Stopwatch:
         self._last = now
 
 
+class VStep(Protocol):
+    """What the alternation asks of a v-step: the flow that the u-step is to regularise."""
+
+    def relinearised(self) -> None:
+        """Take note that the residual is another one from now on."""
+        ...
+
+    def restart(self) -> None:
+        """Forget the state kept between iterations."""
+        ...
+
+    def target(self, u: Array, linear: Linearization) -> Array:
+        """Return the next target, (2, H, W); it is overwritten by the next call."""
+        ...
+
+
+class PenaltyStep:
+    """The paper's v-step: the target is v itself.
+
+    Parameters
+    ----------
+    like : ndarray, shape (2, H, W)
+        A flow of the scale.
+    params : FlowParams
+        Data attachment weight and tightness.
+    """
+
+    def __init__(self, like: Array, params: FlowParams) -> None:
+        self._v = np.empty_like(like)
+        self._lambda_theta = params.lambda_ * params.theta
+
+    def relinearised(self) -> None:
+        """Keep no state."""
+
+    def restart(self) -> None:
+        """Keep no state."""
+
+    def target(self, u: Array, linear: Linearization) -> Array:
+        """Return v; see `VStep`."""
+        threshold(u, linear.rho_c, linear.gradient, self._lambda_theta, self._v)
+        return self._v
+
+
+class MultiplierStep:
+    """The v-step with a multiplier kept between iterations and warps; see `coupled_threshold`.
+
+    Parameters
+    ----------
+    like : ndarray, shape (2, H, W)
+        A flow of the scale.
+    params : FlowParams
+        Data attachment weight, tightness, step and relaxation.
+    """
+
+    def __init__(self, like: Array, params: FlowParams) -> None:
+        self._c, self._target = np.zeros_like(like), np.zeros_like(like)
+        self._params = params
+        self._fresh = True
+
+    def relinearised(self) -> None:
+        """Not relax towards the w of another residual."""
+        self._fresh = True
+
+    def restart(self) -> None:
+        """Set the multiplier to 0."""
+        self._c[...] = 0.0
+
+    def target(self, u: Array, linear: Linearization) -> Array:
+        """Return ``w - c``; see `VStep`."""
+        p = self._params
+        relaxation = 1.0 if self._fresh else p.relaxation
+        self._fresh = False
+        coupled_threshold(u, *linear, p.lambda_, p.theta, p.coupling_step, relaxation, self._c, self._target)
+        return self._target
+
+
 def solve_level(
     frame0: Array,
     frame1: Array,
     u: Array,
     params: FlowParams,
     regularizer: Regularizer,
+    v_step: VStep,
     watch: Stopwatch,
     *,
     trace: bool = False,
@@ -77,6 +155,8 @@ def solve_level(
         Parameters.
     regularizer : Regularizer
         The u-step.
+    v_step : VStep
+        The v-step.
     watch : Stopwatch
         Adds up seconds by phase.
     trace : bool, optional
@@ -98,10 +178,12 @@ def solve_level(
         if params.relinearise:
             u0 = u
         linearize(frame0, frame1, gradient1, u0, *linear)
+        v_step.relinearised()
         watch.lap("warping")
         if params.dual_restart:
             regularizer.restart()
-        u = _alternate(u, linear, params, regularizer, report, trace)
+            v_step.restart()
+        u = _alternate(u, linear, params, regularizer, v_step, report, trace)
         watch.lap("solving")
         if report.stop[-1] == "diverged":
             break
@@ -113,21 +195,21 @@ def _alternate(
     linear: Linearization,
     params: FlowParams,
     regularizer: Regularizer,
+    v_step: VStep,
     report: LevelReport,
     trace: bool,
 ) -> Array:
     """Minimise E(u, v) for one linearisation by turns over v and u."""
-    v, after = np.empty_like(u), np.empty_like(u)
+    after = np.empty_like(u)
     limit = params.epsilon**2 if params.epsilon_squared else params.epsilon
     stop, inner, energies = "max_iter", 0, []
     for n in range(1, params.max_iter + 1):
-        threshold(u, linear.rho_c, linear.gradient, params.lambda_ * params.theta, v)
-        inner += regularizer.step(v, u, after)
+        inner += regularizer.step(v_step.target(u, linear), u, after)
         change = mean_squared_change(after, u)
         # The caller's u0 may be the array behind `u`: swap names, never overwrite it.
         u, after = after, (np.empty_like(u) if n == 1 else u)
         if trace:
-            energies.append(energy(regularizer.operator, u, v, linear, params.lambda_, params.theta))
+            energies.append(_energy(u, linear, params, regularizer))
         if not np.isfinite(change):
             stop = "diverged"
             break
@@ -140,3 +222,10 @@ def _alternate(
     if trace:
         report.energy.append(energies)
     return u
+
+
+def _energy(u: Array, linear: Linearization, params: FlowParams, regularizer: Regularizer) -> float:
+    """Return E(u, v) at the best v for this u."""
+    v = np.empty_like(u)
+    threshold(u, linear.rho_c, linear.gradient, params.lambda_ * params.theta, v)
+    return energy(regularizer.operator, u, v, linear, params.lambda_, params.theta)

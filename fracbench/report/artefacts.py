@@ -69,16 +69,25 @@ def render(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results:
     InputError
         An unknown renderer, or a folder that cannot be written.
     """
+    return require_renderer(experiment)(experiment, plan, rows, results)
+
+
+def require_renderer(experiment: Experiment) -> Renderer:
+    """Return the renderer that an experiment names.
+
+    Raises
+    ------
+    InputError
+        There is none of that name.
+    """
     if experiment.artefact not in RENDERERS:
         raise unknown_name("artefact", experiment.artefact, RENDERERS, f"experiment {experiment.name}")
-    return RENDERERS[experiment.artefact](experiment, plan, rows, results)
+    return RENDERERS[experiment.artefact]
 
 
 def file_stem(name: str, plan: Plan, folder: Path) -> Path:
     """Return where an artefact goes: what was computed on the synthetic scenes says so in its name."""
-    asked = plan.config.sequence.dataset
-    stand_in = plan.dataset == "synthetic" and asked != "synthetic"
-    return folder / (f"{name}_synthetic" if stand_in else name)
+    return folder / (f"{name}_synthetic" if plan.stand_in else name)
 
 
 def _table2(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
@@ -88,27 +97,31 @@ def _table2(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results
     comparison = tables.versus_published(tables.tidy(plan, rows), published)
     stem = file_stem(experiment.name, plan, tables.ensure_folder(results / "tables"))
     protocols = list(comparison["protocol"].unique())
-    artefact = Artefact([tables.write_table(comparison, stem)])
+    artefact = Artefact()
     parts, latex = [f"# {experiment.title}\n"], []
     for protocol in protocols:
         table, sentences = tables.wide(comparison, protocol), tables.summary(comparison, protocol)
         parts += [f"## Protocol `{protocol}`\n", tables.to_markdown(table) + "\n", "\n".join(sentences) + "\n"]
-        latex.append(tables.to_latex(table, f"{experiment.title} (protocol {protocol})".replace("_", r"\_")))
+        latex.append(tables.to_latex(table, f"{experiment.title} (protocol {protocol})"))
         artefact.views.append((f"{experiment.title}, protocol {protocol}", tables.rounded(table)))
         artefact.lines += [f"{protocol}: {sentence}" for sentence in sentences]
     notes = [*plan.notices, *tables.footnote(rows, protocols)]
     parts.append("\n\n".join(notes) + "\n")
     latex += ["% " + line for line in notes]
-    artefact.files.append(tables.write_text("\n".join(parts), stem.with_name(stem.name + ".md")))
-    artefact.files.append(tables.write_text("\n".join(latex) + "\n", stem.with_name(stem.name + ".tex")))
     artefact.lines += notes
+    # Written last, so that a table that cannot be laid out replaces none of them.
+    artefact.files = [
+        tables.write_table(comparison, stem),
+        tables.write_text("\n".join(parts), stem.with_name(stem.name + ".md")),
+        tables.write_text("\n".join(latex) + "\n", stem.with_name(stem.name + ".tex")),
+    ]
     return artefact
 
 
 def _sweep(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
     table = tables.tidy(plan, rows)
     stem = file_stem(experiment.name, plan, tables.ensure_folder(results / "sweeps"))
-    artefact = Artefact([tables.write_table(table, stem)])
+    artefact = Artefact()
     names, numbers = split_varying(table, plan)
     done = table[table["status"] == "done"]
     if numbers and len(done):
@@ -124,6 +137,9 @@ def _sweep(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results:
         from fracbench.report.style import save_figure
 
         artefact.files += save_figure(figure, stem)
+        if table[numbers].isna().any(axis=None):
+            artefact.lines.append(f"not drawn: points that do not depend on {' and '.join(numbers)}")
+    artefact.files.insert(0, tables.write_table(table, stem))
     return artefact
 
 
@@ -150,28 +166,35 @@ def best_values(table: pd.DataFrame, names: list[str], numbers: list[str]) -> pd
     -------
     pandas.DataFrame
         Strings, for reading: the best values and errors; for one swept number the range within 2 % of the best.
+        ``any`` stands for a number that the method does not depend on.
     """
     import pandas as pd
 
     records = []
-    groups = table.groupby(names, sort=False) if names else [((), table)]
+    groups = table.groupby(names, sort=False, dropna=False) if names else [((), table)]
     for values, part in groups:
         record: dict[str, Any] = dict(zip(names, values, strict=True))
         for metric in ("aae", "aepe"):
             best = part.loc[part[metric].idxmin()] if part[metric].notna().any() else None
-            shown = "none" if best is None else ", ".join(f"{best[number]:g}" for number in numbers)
+            shown = "none" if best is None else ", ".join(_number(best[number]) for number in numbers)
             record[f"{metric.upper()} best at"] = shown
             record[metric.upper()] = "" if best is None else f"{best[metric]:.4f}"
             if len(numbers) == 1 and best is not None:
                 near = part[part[metric] <= (1.0 + FLAT) * best[metric]][numbers[0]]
-                record[f"{metric.upper()} within {FLAT:.0%}"] = f"{near.min():g} to {near.max():g}"
+                record[f"{metric.upper()} within {FLAT:.0%}"] = f"{_number(near.min())} to {_number(near.max())}"
         records.append(record)
     return pd.DataFrame(records)
+
+
+def _number(value: float) -> str:
+    return "any" if np.isnan(value) else f"{value:g}"
 
 
 def _sweep_figure(title: str, table: pd.DataFrame, names: list[str], numbers: list[str]) -> Any:
     from fracbench.report.figures import alpha_curves, heat_map
 
+    # A point has no place on an axis that its method does not depend on, and one place only on the others.
+    table = table.dropna(subset=numbers).drop_duplicates([*names, *numbers, "key"])
     if not table["aepe"].notna().any():
         return None
     if len(numbers) == 1:

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 METRICS = ("aae", "aepe", "sdae")
 #: Columns of a tidy table that are computed. Seconds are not among them: they differ from run to run, and
 #: a table that is computed again must not differ by a byte. They are in the store.
-RESULT_COLUMNS = (*METRICS, "n_pixels", "n_unknown", "n_nonfinite")
+COUNTS = ("n_pixels", "n_unknown", "n_nonfinite")
+RESULT_COLUMNS = (*METRICS, *COUNTS)
 
 
 def tidy(plan: Plan, rows: Mapping[str, Row]) -> pd.DataFrame:
@@ -44,10 +45,11 @@ def tidy(plan: Plan, rows: Mapping[str, Row]) -> pd.DataFrame:
     import pandas as pd
 
     records = []
+    blank = dict.fromkeys((label for planned in plan.points for label in planned.labels), "")
     for planned in plan.points:
         row = rows.get(planned.point.key)
         result = row.result if row else {}
-        record: dict[str, Any] = {**planned.labels, **planned.point.params}
+        record: dict[str, Any] = {**blank, **planned.labels, **planned.point.params}
         record.update({name: result.get(name) for name in RESULT_COLUMNS})
         record["iterations"] = _total(result.get("iterations"))
         record["inner_iterations"] = _total(result.get("inner_iterations"))
@@ -58,9 +60,10 @@ def tidy(plan: Plan, rows: Mapping[str, Row]) -> pd.DataFrame:
         records.append(record)
     table = pd.DataFrame.from_records(records)
     for column in table.columns:
-        if column in RESULT_COLUMNS or column in _parameter_names():
+        if column in METRICS or column in _parameter_names():
             table[column] = _as_numbers(table[column])
-    return table
+    # A point that failed has no counts; those of the others stay whole numbers.
+    return table.astype(dict.fromkeys((*COUNTS, "iterations", "inner_iterations"), "Int64"))
 
 
 def _total(levels: Sequence[Sequence[int]] | None) -> int | None:
@@ -189,7 +192,8 @@ def summary(comparison: pd.DataFrame, protocol: str) -> list[str]:
             f"TV-L1-SB is better than TV-L1 on {int(better['aae'].sum())} of {n} sequences by AAE, on "
             f"{int(better['aepe'].sum())} of {n} by AEPE (paper: 8 of 8 by both)."
         )
-    means = part.groupby(["method", "metric"], sort=False)["ours"].mean()
+    # A mean over fewer sequences than the others' would not be comparable.
+    means = part.groupby(["method", "metric"], sort=False)["ours"].agg(lambda ours: ours.mean(skipna=False))
     for method in part["method"].unique():
         aae, aepe = means[method, "aae"], means[method, "aepe"]
         sentences.append(f"Mean of {get_method(method).label}: AAE {aae:.4f} rad, AEPE {aepe:.4f} px.")
@@ -308,9 +312,10 @@ def to_markdown(table: pd.DataFrame) -> str:
 def to_latex(table: pd.DataFrame, caption: str) -> str:
     """Return a table as LaTeX (booktabs), numbers rounded for reading."""
     shown = rounded(table)
-    shown.columns = [str(column).replace("_", r"\_") for column in shown.columns]
     columns = "ll" + "r" * (shown.shape[1] - 2)
-    return str(shown.to_latex(index=False, escape=False, caption=caption, column_format=columns))
+    return str(
+        shown.to_latex(index=False, escape=True, caption=caption.replace("_", r"\_"), column_format=columns)
+    )
 
 
 def rounded(table: pd.DataFrame) -> pd.DataFrame:

@@ -233,15 +233,16 @@ def test_fewer_scales_than_asked_for_are_noticed():
 @METHODS
 def test_the_energy_is_traced_on_request_and_falls(method):
     frames = ref.translated_pair((20, 24), (0.8, 0.5))
-    traced = run(method, *frames, trace=True, epsilon=1e-3, n_warps=2)
-    silent = run(method, *frames, epsilon=1e-3, n_warps=2)
+    settings = {"epsilon": 1e-3, "n_warps": 2, "max_iter": 40, "presmoothing": 0.0}
+    traced = run(method, *frames, trace=True, **settings)
+    silent = run(method, *frames, **settings)
     np.testing.assert_array_equal(traced.flow, silent.flow)
     assert all(level.energy == [] for level in silent.levels)
     for level in traced.levels:
         assert [len(trace) for trace in level.energy] == level.iterations
     first = traced.levels[0].energy[0]
     assert len(first) > 3
-    assert first[-1] < 0.9 * first[0]
+    assert first[-1] < 0.995 * first[0]
 
 
 @needs_compiler
@@ -249,13 +250,13 @@ def test_the_energy_is_traced_on_request_and_falls(method):
     ("method", "boundary"), [("tvl1_sb", "reflect"), ("tvl1_sb_alpha", "reflect"), ("tvl1_sb_alpha", "zero")]
 )
 def test_solved_to_the_end_each_iteration_lowers_the_energy(method, boundary):
-    frames = ref.translated_pair((16, 20), (0.8, 0.5))
+    frames = ref.translated_pair((12, 14), (0.8, 0.5))
     result = run(
-        method, *frames, trace=True, boundary=boundary, dtype="float64", u_solver="exact", inner="cold", tol=1e-8,
-        max_inner=1000, n_warps=2, max_iter=15, n_scales=1, epsilon=0.0,
+        method, *frames, trace=True, boundary=boundary, dtype="float64", u_solver="exact", inner="cold",
+        coupling="penalty", tol=1e-6, max_inner=300, n_warps=2, max_iter=10, n_scales=1, epsilon=0.0,
     )  # fmt: skip
     for trace in result.levels[0].energy:
-        assert len(trace) == 15
+        assert len(trace) == 10
         assert np.diff(trace).max() <= 1e-6 * trace[0]
 
 
@@ -325,7 +326,8 @@ def test_the_coarse_flow_is_scaled_on_its_way():
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_divergence_is_reported(value):
-    result, _ = drive(value)
+    with np.errstate(invalid="ignore"):  # compiled loops do not warn, the same loops in Python do
+        result, _ = drive(value)
     assert result.stop_reason == "diverged"
     assert result.levels[0].stop == ["diverged"]  # later warps of the scale are not tried
     assert result.iterations[0] == [1]

@@ -92,6 +92,8 @@ def test_wrong_types_are_refused(name, value, message):
         ("max_iter", "0", r"`max_iter` must be at least 1, got 0"),
         ("tau", 0.0, r"`tau` must be in \(0, 0.25\], got 0"),
         ("tau", 0.3, r"`tau` must be in \(0, 0.25\], got 0.3"),
+        ("coupling_step", 0, r"`coupling_step` must be greater than 0, got 0"),
+        ("relaxation", 2, r"`relaxation` must be in \[1, 1.9\], got 2"),
         ("pad", -1, r"`pad` must be at least 0, got -1"),
         ("presmoothing", -1, r"`presmoothing` must be at least 0, got -1"),
     ],

@@ -7,7 +7,7 @@ import pytest
 import reference_impl as ref
 import scipy.optimize
 
-from fracbench.model.proximal import mean_squared_change, shrink_update, threshold
+from fracbench.model.proximal import coupled_threshold, mean_squared_change, shrink_update, threshold
 
 LAMBDA, THETA = 0.4, 0.3
 
@@ -115,25 +115,62 @@ def test_threshold_leaves_its_inputs_alone(rng):
         np.testing.assert_array_equal(a, copy)
 
 
+# -- TH with a multiplier --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("relaxation", [1.0, 1.7])
+def test_coupled_threshold_is_the_separate_steps(rng, relaxation):
+    u, rho_c, gradient = data(rng, (12, 13))
+    w, c = rng.normal(size=(2, *u.shape))
+    expected_w, expected_c = ref.multiplier_step(u, w, c, rho_c, gradient, LAMBDA, THETA, 2.0, relaxation)
+    target = w - c
+    coupled_threshold(u, rho_c, gradient, LAMBDA, THETA, 2.0, relaxation, c, target)
+    np.testing.assert_allclose(c, expected_c, atol=1e-11)
+    np.testing.assert_allclose(target, expected_w - expected_c, atol=1e-11)
+
+
+def test_coupled_threshold_solves_its_own_problem(rng):
+    """w minimises min_v |w - v|^2 / (2 theta) + lambda |rho(v)| + |w - u - c|^2 / (2 step): no descent nearby."""
+    u, rho_c, gradient = data(rng)
+    c, step = rng.normal(size=u.shape), 2.0
+    z, target = u + c, np.zeros_like(u)
+    coupled_threshold(u, rho_c, gradient, LAMBDA, THETA, step, 1.0, c, target)
+
+    def objective(w):
+        v = ref.threshold(w, rho_c, gradient, LAMBDA, THETA)
+        rho = rho_c + (gradient * v).sum(axis=0)
+        distances = ((w - v) ** 2).sum(axis=0) / (2 * THETA) + ((w - z) ** 2).sum(axis=0) / (2 * step)
+        return distances + LAMBDA * np.abs(rho)
+
+    w = target + c
+    least = objective(w)
+    for angle in np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False):
+        for length in (1e-3, 0.1, 1.0):
+            away = length * np.array([math.cos(angle), math.sin(angle)])[:, None, None]
+            assert (objective(w + away) > least).all()
+
+
 # -- shrinkage -----------------------------------------------------------------------------------
 
 
-def shrunk(du, b, gamma):
+def shrunk(du, b, gamma, relaxation=1.0, last_d=None):
     """Return d and the new b, from the kernel's b and g = d - b."""
-    b, g = b.copy(), np.full_like(du, np.nan)
-    shrink_update(du, b, gamma, g)
+    g = np.zeros_like(du) if last_d is None else last_d - b
+    b = b.copy()
+    shrink_update(du, b, gamma, relaxation, g)
     return g + b, b
 
 
+@pytest.mark.parametrize("relaxation", [1.0, 1.6])
 @pytest.mark.parametrize("pairs", [1, 2])
-def test_shrink_and_update_are_the_separate_steps(rng, pairs):
-    du, b = rng.normal(size=(2, pairs, 2, 5, 6))
-    expected_d, expected_b = ref.shrink_and_update(du, b, 0.8)
-    d, new_b = shrunk(du, b, 0.8)
+def test_shrink_and_update_are_the_separate_steps(rng, pairs, relaxation):
+    du, b, last_d = rng.normal(size=(3, pairs, 2, 5, 6))
+    expected_d, expected_b = ref.shrink_and_update(du, b, 0.8, relaxation, last_d)
+    d, new_b = shrunk(du, b, 0.8, relaxation, last_d)
     np.testing.assert_allclose(d, expected_d, atol=1e-14)
     np.testing.assert_allclose(new_b, expected_b, atol=1e-14)
-    lengths = np.linalg.norm(du + b, axis=1)
-    assert (lengths < 0.8).any() and (lengths > 0.8).any()
+    lengths = np.linalg.norm(d, axis=1)
+    assert (lengths < 1e-12).any() and (lengths > 0.1).any()
 
 
 def test_shrink_minimises_its_objective(rng):

@@ -247,11 +247,9 @@ def regularizers():
 def test_restart_forgets(case):
     used, fresh = regularizers()[case], regularizers()[case]
     denoise(used, 3)
-    first, after = np.empty_like(V), np.empty_like(V)
-    fresh.step(V, V, first)
     used.restart()
-    used.step(V, V, after)
-    np.testing.assert_array_equal(after, first)
+    for count in (1, 2, 3):  # b enters from the second step on
+        np.testing.assert_array_equal(denoise(used, count), denoise(fresh, count))
 
 
 @pytest.mark.parametrize("case", range(3))

@@ -1,0 +1,180 @@
+"""One point: what it is computed on, what it says of itself, and that nothing it does escapes."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_info
+
+from fracbench import estimate_flow
+from fracbench.data import synthetic
+from fracbench.data.sequence import Sequence
+from fracbench.errors import InputError
+from fracbench.evaluation.metrics import flow_errors
+from fracbench.harness import task
+from fracbench.harness.plan import Point, canonical_value
+from fracbench.harness.task import point_arrays, run_point
+from fracbench.methods.registry import get_method
+from fracbench.model.estimator import FlowResult
+from fracbench.model.params import FlowParams
+
+QUICK = {"n_scales": 1, "n_warps": 2, "max_iter": 3}
+
+
+def a_point(method="tvl1", scene="edge", box=None, context=0, digest=None, **values):
+    chosen = get_method(method)
+    given = FlowParams().replace(chosen.defaults).replace({**QUICK, **values}).as_dict()
+    params = {name: canonical_value(given[name]) for name in sorted(chosen.uses)}
+    return Point(method, params, "synthetic", scene, box, context, digest or synthetic.digest(scene))
+
+
+def use_method(monkeypatch, estimate):
+    monkeypatch.setattr(task, "get_method", lambda name: SimpleNamespace(estimate=estimate))
+    monkeypatch.setattr(task, "_warmed", set())
+
+
+def still(frame0, frame1, params):
+    return FlowResult(np.zeros((2, *frame0.shape), np.float32), "still", params)
+
+
+# -- what is computed ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("method", ["tvl1", "tvl1_sb", "tvl1_sb_alpha"])
+def test_the_errors_are_those_of_the_python_interface(method):
+    scene = synthetic.scene("edge")
+    flow = estimate_flow(scene.frame0, scene.frame1, method=method, **QUICK)
+    expected = flow_errors(flow.flow, scene.truth)
+    outcome = run_point(a_point(method), None)
+    assert (outcome.status, outcome.error) == ("done", None)
+    assert outcome.result["aae"] == expected.aae
+    assert outcome.result["aepe"] == expected.aepe
+    assert outcome.result["sdae"] == expected.sdae
+    assert outcome.result["n_pixels"] == scene.frame0.size
+    assert (outcome.result["n_unknown"], outcome.result["n_nonfinite"]) == (0, 0)
+    assert outcome.result["iterations"] == flow.iterations
+    assert outcome.result["stop"] == flow.stop_reason
+    assert outcome.seconds > 0
+    assert outcome.machine["versions"]["numpy"] == np.__version__
+
+
+def test_a_box_is_computed_alone_and_scored_inside():
+    scene = synthetic.scene("edge")
+    rows, cols = slice(20, 70), slice(40, 100)
+    flow = estimate_flow(scene.frame0[rows, cols], scene.frame1[rows, cols], method="tvl1", **QUICK).flow
+    expected = flow_errors(flow, scene.truth[:, rows, cols])
+    outcome = run_point(a_point(box=(20, 70, 40, 100)), None)
+    assert outcome.result["aepe"] == expected.aepe
+    assert outcome.result["n_pixels"] == 50 * 60
+
+
+def test_context_takes_part_and_is_not_scored():
+    scene = synthetic.scene("edge")
+    rows, cols = slice(0, 77), slice(33, 107)  # 7 pixels more, but above the box there are 3 only
+    flow = estimate_flow(scene.frame0[rows, cols], scene.frame1[rows, cols], method="tvl1", **QUICK).flow
+    expected = flow_errors(flow[:, 3:70, 7:67], scene.truth[:, 3:70, 40:100])
+    outcome = run_point(a_point(box=(3, 70, 40, 100), context=7), None)
+    assert outcome.result["aepe"] == expected.aepe
+    assert outcome.result["n_pixels"] == 67 * 60
+    assert outcome.result["aepe"] != run_point(a_point(box=(3, 70, 40, 100)), None).result["aepe"]
+
+
+def test_the_whole_frame_is_scored_without_a_box():
+    frame0, _, truth, inner = point_arrays(a_point(), None)
+    assert frame0[inner].shape == frame0.shape == truth.shape[1:] == synthetic.scene("edge").shape
+
+
+# -- how it is computed --------------------------------------------------------------------------
+
+
+def test_one_thread_is_at_work(monkeypatch):
+    threads = []
+
+    def estimate(frame0, frame1, params):
+        threads.extend(pool["num_threads"] for pool in threadpool_info())
+        return still(frame0, frame1, params)
+
+    use_method(monkeypatch, estimate)
+    assert run_point(a_point(), None).status == "done"
+    assert threads and set(threads) == {1}
+
+
+def test_the_clock_runs_during_the_estimate_alone(monkeypatch):
+    """What a method does for the first time, it does on a small picture, before."""
+    clock = [0.0]
+    sizes = []
+
+    def estimate(frame0, frame1, params):
+        sizes.append(frame0.size)
+        clock[0] += 2.0 if frame0.size > 32 * 32 else 100.0
+        return still(frame0, frame1, params)
+
+    use_method(monkeypatch, estimate)
+    monkeypatch.setattr(task, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
+    assert [run_point(a_point(**{"lambda": value}), None).seconds for value in (0.1, 0.2)] == [2.0, 2.0]
+    assert sizes == [32 * 32, 128 * 160, 128 * 160]
+    run_point(a_point("tvl1_sb", boundary="zero"), None)
+    assert sizes[3:] == [32 * 32, 128 * 160]
+
+
+# -- what goes wrong -----------------------------------------------------------------------------
+
+
+def test_what_a_user_can_put_right_is_said_as_it_is(monkeypatch):
+    def estimate(frame0, frame1, params):
+        raise InputError("lambda is too large")
+
+    use_method(monkeypatch, estimate)
+    outcome = run_point(a_point(), None)
+    assert (outcome.status, outcome.error, outcome.result) == ("failed", "lambda is too large", {})
+    assert outcome.seconds is None
+    assert outcome.machine["host"]
+
+
+def test_any_other_error_is_named_with_its_place(monkeypatch):
+    def estimate(frame0, frame1, params):
+        raise ZeroDivisionError("a\nb")
+
+    use_method(monkeypatch, estimate)
+    outcome = run_point(a_point(), None)
+    line = estimate.__code__.co_firstlineno + 1
+    assert (outcome.status, outcome.error) == ("failed", f"ZeroDivisionError: a b (test_task.py:{line})")
+
+
+def test_ctrl_c_is_no_outcome(monkeypatch):
+    def estimate(frame0, frame1, params):
+        raise KeyboardInterrupt
+
+    use_method(monkeypatch, estimate)
+    with pytest.raises(KeyboardInterrupt):
+        run_point(a_point(), None)
+
+
+def test_a_flow_that_is_not_finite_diverged(monkeypatch):
+    def estimate(frame0, frame1, params):
+        result = still(frame0, frame1, params)
+        result.flow[0, 3, 4:6] = np.nan
+        return result
+
+    use_method(monkeypatch, estimate)
+    outcome = run_point(a_point(), None)
+    assert (outcome.status, outcome.error) == ("diverged", "diverged: 2 pixels of the flow are not finite")
+    assert outcome.result["stop"] == "diverged"
+    assert outcome.result["n_nonfinite"] == 2
+    assert np.isnan(outcome.result["aepe"])
+
+
+def test_data_that_changed_since_they_were_planned_are_not_computed_on():
+    outcome = run_point(a_point(digest="of something else"), None)
+    assert outcome.status == "failed"
+    assert "sequence edge: the data changed while the sweep was running" in outcome.error
+
+
+def test_a_sequence_without_truth_cannot_be_scored(monkeypatch):
+    frame = np.zeros((9, 9))
+    bare = Sequence("edge", "synthetic", frame, frame, None, synthetic.digest("edge"))
+    monkeypatch.setattr(task, "_sequence", lambda name, dataset, folder: bare)
+    outcome = run_point(a_point(), None)
+    assert (outcome.status, outcome.error) == ("failed", "sequence edge: has no true flow to compare with")

@@ -1,0 +1,37 @@
+"""Accuracy on Middlebury against figures that other implementations of TV-L1 gave on the same files."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fracbench import estimate_flow
+from fracbench.data.middlebury import SEQUENCES, load
+from fracbench.evaluation.metrics import flow_errors
+
+pytestmark = [pytest.mark.middlebury, pytest.mark.slow]
+
+
+def end_point_error(folder, sequence, **values):
+    data = load(sequence, folder)
+    result = estimate_flow(data.frame0, data.frame1, method="tvl1", **values)
+    return flow_errors(result.flow, data.truth).aepe
+
+
+def test_tvl1_with_ipols_defaults_is_as_accurate_as_ipols(middlebury):
+    """IPOL's C code has a mean end-point error of .375 pixels over the eight sequences."""
+    settings = {"lambda": 0.15, "theta": 0.3, "n_warps": 5, "presmoothing": 0.8, "epsilon": 0.01, "tau": 0.25}
+    errors = [end_point_error(middlebury, sequence, **settings) for sequence in SEQUENCES]
+    assert np.mean(errors) == pytest.approx(0.375, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("sequence", "lambda_", "theta", "n_scales", "expected"),
+    [("Grove2", 0.3, 0.3, 6, 0.1583), ("RubberWhale", 0.4, 0.4, 4, 0.1744)],
+)
+def test_tvl1_with_the_parameters_of_table_2(middlebury, sequence, lambda_, theta, n_scales, expected):
+    """An independent implementation with the same smoothing gave these (IPOL's C code: .1533 and .1985)."""
+    error = end_point_error(
+        middlebury, sequence, lambda_=lambda_, theta=theta, n_scales=n_scales, presmoothing=0.6
+    )
+    assert error == pytest.approx(expected, rel=0.05)

@@ -1,0 +1,104 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import reference_impl as ref
+
+from fracbench.errors import InputError
+from fracbench.methods.registry import METHODS, get_method, register
+from fracbench.model.params import FlowParams
+
+OURS = ("tvl1", "tvl1_sb", "tvl1_sb_alpha")
+
+#: parameter: (values that make it matter, two values of its own that give different flows)
+VARIATIONS = {
+    "lambda": ({}, 0.3, 0.1),
+    "theta": ({}, 0.3, 0.15),
+    "lambda_sb": ({}, 10.0, 3.0),
+    "alpha": ({}, 1.1, 0.6),
+    "epsilon": ({}, 0.1, 1e-3),
+    "eta": ({}, 0.5, 0.7),
+    "n_scales": ({}, None, 1),
+    "n_warps": ({}, 3, 1),
+    "max_iter": ({"epsilon": 1e-4}, 10, 2),
+    "presmoothing": ({}, 0.6, 1.2),
+    "boundary": ({}, "reflect", "zero"),
+    "pad": ({"boundary": "zero"}, 0, 4),
+    "u_solver": ({}, "exact", "gauss_seidel"),
+    "inner": ({}, "warm", "cold"),
+    "coupling": ({}, "multiplier", "penalty"),
+    "coupling_step": ({"coupling": "multiplier"}, 3.0, 1.0),
+    "relaxation": ({"coupling": "multiplier", "inner": "warm"}, 1.7, 1.0),
+    "tol": ({"inner": "cold"}, 0.1, 0.001),
+    "max_inner": ({"inner": "cold", "tol": 1e-6}, 10, 2),
+    "tau": ({}, 0.25, 0.1),
+    "upsample_gain": ({}, None, 0.5),
+    "relinearise": ({}, True, False),
+    "dual_restart": ({"inner": "warm"}, False, True),
+    "gradient_scale": ({}, 1.0, 2.0),
+    "epsilon_squared": ({}, True, False),
+    "dtype": ({}, "float32", "float64"),
+}
+SMALL = {"n_warps": 3, "max_iter": 10, "epsilon": 1e-3}
+
+
+@pytest.fixture(scope="module")
+def frames():
+    pair = ref.translated_pair((20, 26), (1.1, -0.6))
+    for frame in pair:
+        frame.flags.writeable = False
+    return pair
+
+
+def flow(method, frames, **values):
+    chosen = get_method(method)
+    params = FlowParams().replace(chosen.defaults).replace(SMALL).replace(values)
+    return chosen.estimate(*frames, params).flow
+
+
+def test_the_papers_methods_are_registered():
+    assert set(OURS) <= set(METHODS)
+    for name, method in METHODS.items():
+        assert method.name == name
+        assert method.summary and "\n" not in method.summary
+        assert method.uses <= set(FlowParams.names())
+        assert set(method.defaults) <= method.uses
+        FlowParams().replace(method.defaults)
+
+
+def test_every_parameter_is_varied_here():
+    assert set(VARIATIONS) == set(FlowParams.names())
+
+
+@pytest.mark.parametrize("method", OURS)
+@pytest.mark.parametrize("parameter", VARIATIONS)
+def test_a_method_depends_on_what_it_says_it_uses_and_on_nothing_else(frames, method, parameter):
+    context, *values = VARIATIONS[parameter]
+    first, second = (flow(method, frames, **{**context, parameter: value}) for value in values)
+    assert np.isfinite(first).all()
+    assert np.array_equal(first, second) == (parameter not in get_method(method).uses)
+
+
+def test_methods_differ(frames):
+    flows = [flow(method, frames) for method in OURS]
+    for i, one in enumerate(flows):
+        for other in flows[:i]:
+            assert np.abs(one - other).max() > 1e-4
+
+
+def test_unknown_methods_offer_the_nearest():
+    with pytest.raises(InputError, match=r"unknown method 'tvl1sb': did you mean 'tvl1_sb'\?") as caught:
+        get_method("tvl1sb")
+    assert all(name in str(caught.value) for name in OURS)
+
+
+def test_a_registered_method_is_found_and_may_be_replaced(monkeypatch):
+    monkeypatch.setattr("fracbench.methods.registry.METHODS", dict(METHODS))
+    mine = dataclasses.replace(get_method("tvl1"), name="mine")
+    assert register(mine) is mine
+    assert get_method("mine") is mine
+    better = register(dataclasses.replace(mine, summary="better"))
+    assert get_method("mine") is better
+    assert "mine" not in METHODS
