@@ -153,12 +153,12 @@ def _add_overrides(parser: argparse.ArgumentParser, *, grid: bool = True) -> Non
 
 
 def _sweep(arguments: argparse.Namespace) -> int:
-    from fracbench.harness.experiment import Experiment
+    from fracbench.harness.experiment import MAIN, Experiment
 
     tokens = tuple(arguments.overrides)
     if not tokens:
         raise InputError("sweep: what is to be swept? e.g. fracbench sweep alpha=0:2:0.1 region=grove2_A")
-    return _conduct(Experiment(_slug(tokens), " ".join(tokens), "sweep", tokens), arguments)
+    return _conduct(Experiment(_slug(tokens), " ".join(tokens), "sweep", {MAIN: tokens}), (), arguments)
 
 
 def _slug(tokens: Sequence[str]) -> str:
@@ -192,8 +192,6 @@ def _numbered(kind: str, arguments: argparse.Namespace) -> int:
 
 
 def _experiment(arguments: argparse.Namespace) -> int:
-    from dataclasses import replace
-
     from fracbench.harness.experiment import load_experiment
 
     experiment = load_experiment(arguments.name)
@@ -203,15 +201,16 @@ def _experiment(arguments: argparse.Namespace) -> int:
             f"{arguments.name}: an experiment fixes its own grid; only dataset=, paths. and parallel can be set "
             "(for anything else: fracbench sweep)"
         )
-    return _conduct(replace(experiment, grid=(*experiment.grid, *settings)), arguments)
+    return _conduct(experiment, settings, arguments)
 
 
-def _conduct(experiment: Experiment, arguments: argparse.Namespace) -> int:
+def _conduct(experiment: Experiment, settings: Sequence[str], arguments: argparse.Namespace) -> int:
     """Plan, compute what is missing, store, draw."""
     from fracbench import session
 
     outcome = session.conduct(
         experiment,
+        settings,
         jobs=arguments.jobs,
         dry_run=arguments.dry_run,
         rerun_failed=arguments.rerun == "failed",

@@ -13,7 +13,7 @@ from fracbench.errors import InputError, unknown_name
 from fracbench.harness import execute
 from fracbench.harness.experiment import Experiment
 from fracbench.harness.grid import parse_overrides
-from fracbench.harness.plan import Plan, make_plan
+from fracbench.harness.plan import Plan, make_plan, plan_experiment
 from fracbench.harness.store import Row, Store
 
 if TYPE_CHECKING:
@@ -31,14 +31,21 @@ class Conducted:
 
 
 def conduct(
-    experiment: Experiment, *, jobs: int | None = None, dry_run: bool = False, rerun_failed: bool = False
+    experiment: Experiment,
+    settings: Sequence[str] = (),
+    *,
+    jobs: int | None = None,
+    dry_run: bool = False,
+    rerun_failed: bool = False,
 ) -> Conducted:
     """Run what is missing of an experiment and write its artefact.
 
     Parameters
     ----------
     experiment : Experiment
-        Grid and artefact.
+        Grids and artefact.
+    settings : sequence of str, optional
+        Overrides for all grids: data set, paths, parallel.
     jobs : int, optional
         Worker processes; the configuration's number by default.
     dry_run : bool, optional
@@ -58,7 +65,7 @@ def conduct(
     """
     if jobs is not None:
         _require_workers(jobs)
-    plan = make_plan(experiment.grid, allow_download=not dry_run)
+    plan = plan_experiment(experiment.grids, settings, allow_download=not dry_run)
     for notice in plan.notices:
         console.note(f"note: {notice}")
     results, workers = plan.config.results, jobs or plan.config.parallel.jobs

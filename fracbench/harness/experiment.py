@@ -10,7 +10,9 @@ from typing import Any
 from fracbench.errors import InputError, unknown_name
 from fracbench.harness.assets import asset
 
-_KEYS = {"title", "artefact", "grid", "options"}
+_KEYS = {"title", "artefact", "grid", "grids", "options"}
+#: Name of the only grid of an experiment that has one.
+MAIN = "main"
 
 
 @dataclass(frozen=True)
@@ -25,8 +27,8 @@ class Experiment:
         Heading of the artefact.
     artefact : str
         Name of the renderer in `fracbench.report.artefacts`.
-    grid : tuple of str
-        Overrides in the grammar of the command line.
+    grids : mapping of str to tuple of str
+        Overrides in the grammar of the command line, by the part of the artefact that they feed.
     options : mapping
         What the renderer wants to know besides.
     """
@@ -34,7 +36,7 @@ class Experiment:
     name: str
     title: str
     artefact: str
-    grid: tuple[str, ...]
+    grids: Mapping[str, tuple[str, ...]]
     options: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -77,9 +79,21 @@ def load_experiment(name: str) -> Experiment:
     for key in raw:
         if key not in _KEYS:
             raise unknown_name("key", str(key), _KEYS, str(path))
-    grid, options = raw.get("grid"), raw.get("options") or {}
-    if not isinstance(grid, list) or not all(isinstance(token, str) for token in grid):
-        raise InputError(f"{path}: `grid` must be a list of overrides such as 'alpha=0:2:0.1'")
+    if ("grid" in raw) == ("grids" in raw):
+        raise InputError(f"{path}: one of `grid` (overrides) and `grids` (overrides by name) is needed")
+    grids, options = raw.get("grids", {MAIN: raw.get("grid")}), raw.get("options") or {}
+    if not isinstance(grids, dict) or not all(map(_is_grid, grids.values())):
+        raise InputError(f"{path}: a grid must be a list of overrides such as 'alpha=0:2:0.1'")
     if not isinstance(options, dict):
         raise InputError(f"{path}: `options` must be a mapping")
-    return Experiment(name, str(raw.get("title", name)), str(raw.get("artefact", "sweep")), tuple(grid), options)
+    return Experiment(
+        name, str(raw.get("title", name)), str(raw.get("artefact", "sweep")), _tuples(grids), options
+    )
+
+
+def _is_grid(value: Any) -> bool:
+    return isinstance(value, list) and all(isinstance(token, str) for token in value)
+
+
+def _tuples(grids: Mapping[Any, list[str]]) -> dict[str, tuple[str, ...]]:
+    return {str(name): tuple(tokens) for name, tokens in grids.items()}

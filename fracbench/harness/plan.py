@@ -151,6 +151,46 @@ def make_plan(tokens: Sequence[str], *, allow_download: bool = True) -> Plan:
     )
 
 
+def plan_experiment(
+    grids: Mapping[str, Sequence[str]], settings: Sequence[str] = (), *, allow_download: bool = True
+) -> Plan:
+    """Expand the grids of an experiment to one plan.
+
+    Parameters
+    ----------
+    grids : mapping of str to sequence of str
+        Overrides by the part of the artefact that they feed.
+    settings : sequence of str, optional
+        Overrides added to each grid.
+    allow_download : bool, optional
+        Whether missing Middlebury data may be downloaded.
+
+    Returns
+    -------
+    Plan
+        All points; the label ``part`` names the grid of each.
+
+    Raises
+    ------
+    InputError
+        See `make_plan`; no grid at all.
+    """
+    if not grids:
+        raise InputError("an experiment needs at least one grid")
+    plans = {
+        part: make_plan((*tokens, *settings), allow_download=allow_download) for part, tokens in grids.items()
+    }
+    points = tuple(
+        replace(planned, labels={"part": part, **planned.labels})
+        for part, plan in plans.items()
+        for planned in plan.points
+    )
+    first = next(iter(plans.values()))
+    varying = tuple(dict.fromkeys(key for plan in plans.values() for key in plan.varying))
+    notices = tuple(dict.fromkeys(notice for plan in plans.values() for notice in plan.notices))
+    return replace(first, points=points, varying=varying, notices=notices)
+
+
 def _expand_globs(grid: Grid) -> Grid:
     def expand(axis: Axis) -> Axis:
         key = axis.keys[0]

@@ -16,7 +16,7 @@ from fracbench.errors import InputError, unknown_name
 from fracbench.harness import execute, provenance
 from fracbench.harness.assets import asset, checkout
 from fracbench.harness.experiment import Experiment, load_experiment
-from fracbench.harness.plan import Plan, make_plan
+from fracbench.harness.plan import Plan, plan_experiment
 from fracbench.harness.store import Row, Store
 from fracbench.model import SOLVER_VERSION
 
@@ -140,7 +140,7 @@ def plan_of(name: str) -> Plan | None:
     base = name.removesuffix("_synthetic")
     experiment: Experiment = load_experiment(base)
     dataset = "synthetic" if base != name else "auto"
-    plan = make_plan((*experiment.grid, f"dataset={dataset}"))
+    plan = plan_experiment(experiment.grids, [f"dataset={dataset}"])
     return None if plan.stand_in and dataset == "auto" else plan
 
 
@@ -169,7 +169,7 @@ def reference_table(plan: Plan, rows: Mapping[str, Row], tabulate: Tabulate) -> 
 
 
 def _key_columns(plan: Plan, table: pd.DataFrame) -> list[str]:
-    labels = [name for name in ("protocol", "sequence", "region", "method") if name in table.columns]
+    labels = [name for name in ("part", "protocol", "sequence", "region", "method") if name in table.columns]
     swept = [key.removeprefix("params.") for key in plan.varying]
     return labels + [key for key in swept if key in table.columns and key not in labels]
 

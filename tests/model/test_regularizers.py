@@ -108,6 +108,35 @@ def test_gauss_seidel_and_exact_reach_the_same_minimiser(boundary, alpha):
     np.testing.assert_allclose(swept, exact, atol=1e-4)
 
 
+def test_over_relaxation_does_not_keep_a_sweep_from_converging():
+    """One sweep solves the u-system too roughly to be over-relaxed: the iteration would not settle."""
+    shape, theta = (24, 28), 3.0
+    operator = NaturalGradient(1.0, shape)
+    v = np.random.default_rng(0).normal(size=(2, *shape))
+    v[..., 14:] += 2.0
+    exact = denoise(SplitBregman(operator, theta, 10.0), 300, v)
+    swept = denoise(SplitBregman(operator, theta, 10.0, u_solver="gauss_seidel", relaxation=1.7), 300, v)
+    least, reached = (sum(regularity(operator, c) for c in u) + coupling(u, v, theta) for u in (exact, swept))
+    assert reached == pytest.approx(least, rel=1e-3)
+
+
+@pytest.mark.parametrize("relaxation", [1.3, 1.9])
+@pytest.mark.parametrize(("boundary", "alpha"), [("zero", 1.4), ("reflect", 0.5), ("natural", 1.0)])
+def test_over_relaxed_steps_reach_the_minimum(boundary, alpha, relaxation):
+    operator = make_operator(boundary, alpha, SHAPE)
+    u = denoise(SplitBregman(operator, THETA, MU, relaxation=relaxation), 300)
+    assert max(relative_excess(operator, boundary, alpha, u)) < 1e-4
+
+
+def test_cold_steps_are_never_over_relaxed():
+    operator = ZeroGradient(1.2, SHAPE)
+    flows = [
+        denoise(SplitBregman(operator, THETA, MU, inner="cold", relaxation=relaxation), 1)
+        for relaxation in (1.0, 1.7)
+    ]
+    np.testing.assert_array_equal(*flows)
+
+
 @pytest.mark.parametrize("u_solver", ["exact", "gauss_seidel"])
 def test_warm_and_cold_reach_the_same_minimiser(u_solver):
     operator = make_operator("zero", 1.2, SHAPE)
