@@ -50,9 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         Exit code: 0 done, 1 a check did not hold, 2 bad input, 3 finished but some points failed.
     """
     try:
-        arguments = _parse(list(sys.argv[1:] if argv is None else argv))
-        command: Callable[[argparse.Namespace], int] = arguments.command
-        return command(arguments)
+        return _dispatch(list(sys.argv[1:] if argv is None else argv))
     except FracbenchError as exc:
         console.complain(" ".join(str(exc).splitlines()))  # a file's name may hold a line break
         return EXIT_INPUT
@@ -63,6 +61,15 @@ def main(argv: Sequence[str] | None = None) -> int:
         # Whoever read our output has gone, e.g. `| head`: not an error, but nothing more can be printed.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_DONE
+
+
+def _dispatch(argv: list[str]) -> int:
+    try:
+        arguments = _parse(argv)
+        command: Callable[[argparse.Namespace], int] = arguments.command
+        return command(arguments)
+    finally:
+        sys.stdout.flush()  # later, nobody could catch the error of a reader that has gone
 
 
 def console_entry() -> NoReturn:

@@ -14,7 +14,7 @@ from fracbench.harness import execute
 from fracbench.harness.experiment import Experiment
 from fracbench.harness.grid import parse_overrides
 from fracbench.harness.plan import Plan, make_plan, plan_experiment
-from fracbench.harness.store import Row, Store
+from fracbench.harness.store import Store
 
 if TYPE_CHECKING:
     from fracbench.model.estimator import FlowResult
@@ -87,7 +87,7 @@ def conduct(
     _say_settings(plan)
     for path in artefact.files:
         console.say(f"wrote {path}")
-    _say_failures(report.failed)
+    _say_failures(report)
     return Conducted(plan, len(report.failed))
 
 
@@ -134,14 +134,12 @@ def _say_settings(plan: Plan) -> None:
     console.say(f"settings: {'; '.join(settings)}; other parameters in the CSV")
 
 
-def _say_failures(failed: Sequence[Row]) -> None:
-    if not failed:
-        return
-    first = failed[0]
-    console.complain(
-        f"{len(failed)} points are not done (first: {first.status}: {first.error}); "
-        "the same command with --rerun failed tries them again"
-    )
+def _say_failures(report: execute.Report) -> None:
+    if report.failed:
+        console.complain(
+            f"{len(report.failed)} of {len(report.rows)} points are not done (first: {report.failed[0].error}); "
+            "the same command with --rerun failed tries them again"
+        )
 
 
 def check_references(names: Sequence[str], *, jobs: int) -> bool:

@@ -1,10 +1,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
+from fracbench.cli import main
 from fracbench.data import middlebury as middlebury_data
+from fracbench.data.files import write_flo, write_image
+from fracbench.data.synthetic import scene
 from fracbench.errors import DataError
 from fracbench.harness.store import Row
 
@@ -33,6 +38,31 @@ def work(tmp_path, monkeypatch) -> Path:
 def tiny() -> list[str]:
     """Overrides for a point that takes a moment, on a rendered scene."""
     return ["sequence=synthetic_flat", "n_scales=1", "n_warps=1", "max_iter=2"]
+
+
+@pytest.fixture
+def cli(capsys):
+    """The command line, called in this process: ``cli("sweep", ...)`` gives `code`, `out` and `err`."""
+
+    def run(*argv):
+        capsys.readouterr()
+        try:
+            code = main([str(word) for word in argv])
+        except SystemExit as exc:
+            code = exc.code
+        return SimpleNamespace(code=code, **capsys.readouterr()._asdict())
+
+    return run
+
+
+@pytest.fixture
+def images(work) -> Path:
+    """The working folder with two small frames, ``a.png`` and ``b.png``, and the true flow ``t.flo``."""
+    small = scene("rotation", shape=(24, 32))
+    for name, frame in (("a", small.frame0), ("b", small.frame1)):
+        write_image(work / f"{name}.png", np.rint(frame).astype(np.uint8))
+    write_flo(work / "t.flo", small.truth)
+    return work
 
 
 @pytest.fixture

@@ -33,6 +33,31 @@ def inverse_eigenvalues(operator: GradientOperator, theta: float, mu: float) -> 
     return (1.0 / (1.0 / theta + mu * (ly[:, None] + lx[None, :]))).astype(operator.dtype)
 
 
+def jacobi_sweep(u: Array, rhs: Array, ny: Float64Array, nx: Float64Array, theta: float, mu: float) -> Array:
+    """Return the next iterate of the fixed point that Algorithm 4 prints, with its signs corrected.
+
+    Parameters
+    ----------
+    u : ndarray, shape (H, W)
+        Current iterate.
+    rhs : ndarray, shape (H, W)
+        ``v/theta + mu D^T (d - b)``.
+    ny, nx : ndarray, shapes (H, H) and (W, W)
+        Normal operators along the axes.
+    theta, mu : float
+        Tightness and split Bregman parameter.
+
+    Returns
+    -------
+    ndarray, shape (H, W)
+        Where the spectral radius exceeds 1 (errata, item 3), repeated sweeps diverge.
+    """
+    normal_diagonal = np.add.outer(np.diag(ny), np.diag(nx))
+    off_diagonal = ny @ u + u @ nx - normal_diagonal * u
+    next_u: Array = (rhs - mu * off_diagonal) / (1.0 / theta + mu * normal_diagonal)
+    return next_u
+
+
 @jit
 def gauss_seidel_natural(u: Array, rhs: Array, theta: float, mu: float) -> None:
     """Sweep once over the pixels in raster order, 5-point stencil without flux (Algorithm 3); `u` is updated.

@@ -98,7 +98,7 @@ class FlowParams:
     pad: int = _param(
         0, "padding of boundary=zero, pixels", paper_range="'padding around the image', not given", low=0
     )
-    u_solver: Literal["exact", "gauss_seidel"] = _param(
+    u_solver: Literal["exact", "gauss_seidel", "jacobi"] = _param(
         "exact", "solver of the u-step", paper_range="fixed-point sweep"
     )
     inner: Literal["warm", "cold"] = _param(

@@ -13,7 +13,12 @@ import numpy as np
 from fracbench.model._jit import jit
 from fracbench.model.arrays import Array
 from fracbench.model.fractional import GradientOperator, NaturalGradient
-from fracbench.model.linear import gauss_seidel_dense, gauss_seidel_natural, inverse_eigenvalues
+from fracbench.model.linear import (
+    gauss_seidel_dense,
+    gauss_seidel_natural,
+    inverse_eigenvalues,
+    jacobi_sweep,
+)
 from fracbench.model.proximal import mean_squared_change, shrink_update
 
 
@@ -132,8 +137,8 @@ class SplitBregman:
         The gradient; `NaturalGradient` makes it Algorithm 3, the others Algorithm 4.
     theta, mu : float
         Tightness of the coupling of u and v, and split Bregman parameter lambda_sb.
-    u_solver : {'exact', 'gauss_seidel'}
-        Division in the operator's basis, or one sweep in raster order.
+    u_solver : {'exact', 'gauss_seidel', 'jacobi'}
+        Division in the operator's basis, one sweep in raster order, or one of the printed fixed point.
     inner : {'warm', 'cold'}
         `warm` keeps d and b between calls and takes one Bregman step a call. `cold` is the paper's:
         each call starts from u = v, d = b = 0 and iterates until the root mean square of a
@@ -160,16 +165,16 @@ class SplitBregman:
     ) -> None:
         self.operator = operator
         self._theta, self._mu = theta, mu
-        self._exact = u_solver == "exact"
+        self._solver = u_solver
         self._cold = inner == "cold"
         self._relaxation = 1.0 if self._cold else relaxation
         self._tol, self._max_inner = tol, max_inner
         self._b = np.zeros((2, *operator.range_shape), operator.dtype)
         self._g = np.zeros_like(self._b)
         self._started = [False, False]
-        if self._exact:
+        if u_solver == "exact":
             self._inverse = inverse_eigenvalues(operator, theta, mu)
-        elif not isinstance(operator, NaturalGradient):
+        else:
             self._ny, self._nx = operator.normal_matrices()
 
     def restart(self) -> None:
@@ -219,7 +224,7 @@ class SplitBregman:
         """
         operator, g = self.operator, self._g[component]
         rhs = v / u.dtype.type(self._theta) + u.dtype.type(self._mu * operator.weight) * operator.adjoint(g)
-        if self._exact:
+        if self._solver == "exact":
             solution, du = operator.u_step(rhs, self._inverse)
             u[...] = solution
         else:
@@ -228,7 +233,9 @@ class SplitBregman:
         shrink_update(du, self._b[component], 1.0 / self._mu, self._relaxation, g)
 
     def _sweep(self, u: Array, rhs: Array) -> None:
-        if isinstance(self.operator, NaturalGradient):
+        if self._solver == "jacobi":
+            u[...] = jacobi_sweep(u, rhs, self._ny, self._nx, self._theta, self._mu)
+        elif isinstance(self.operator, NaturalGradient):
             gauss_seidel_natural(u, rhs, self._theta, self._mu)
         else:
             gauss_seidel_dense(u, rhs, self._ny, self._nx, self._theta, self._mu)
