@@ -27,5 +27,5 @@ def jit(function: F) -> F:
     callable
         The compiled function; `function` itself under ``NUMBA_DISABLE_JIT=1``.
     """
-    compiled: F = numba.njit(cache=True, nogil=True, fastmath=_FASTMATH)(function)  # type: ignore[assignment]
+    compiled: F = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FASTMATH)(function)  # type: ignore[assignment]
     return compiled

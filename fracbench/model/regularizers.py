@@ -144,7 +144,8 @@ class SplitBregman:
         each call starts from u = v, d = b = 0 and iterates until the root mean square of a
         component's change is at most `tol`, or `max_inner` times.
     relaxation : float
-        Over-relaxation of a warm step, in (0, 2); a cold one is never relaxed.
+        Over-relaxation, in (0, 2), of warm steps that are solved exactly; a cold step is a step of the
+        paper, and a single sweep is too rough to be relaxed.
     tol : float
         See `inner`, pixels.
     max_inner : int
@@ -167,7 +168,7 @@ class SplitBregman:
         self._theta, self._mu = theta, mu
         self._solver = u_solver
         self._cold = inner == "cold"
-        self._relaxation = 1.0 if self._cold else relaxation
+        self._relaxation = relaxation if u_solver == "exact" and not self._cold else 1.0
         self._tol, self._max_inner = tol, max_inner
         self._b = np.zeros((2, *operator.range_shape), operator.dtype)
         self._g = np.zeros_like(self._b)

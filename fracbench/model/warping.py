@@ -75,6 +75,23 @@ def cubic_weights(t: float) -> tuple[float, float, float, float]:
 
 
 @jit
+def _sample(
+    image: Array,
+    top: int,
+    left: int,
+    wx: tuple[float, float, float, float],
+    wy: tuple[float, float, float, float],
+) -> float:
+    value = 0.0
+    for p in range(4):
+        r = top - 1 + p
+        row = wx[0] * image[r, left - 1] + wx[1] * image[r, left]
+        row += wx[2] * image[r, left + 1] + wx[3] * image[r, left + 2]
+        value += wy[p] * row
+    return value
+
+
+@jit
 def linearize(frame0: Array, frame1: Array, gradient1: Array, u0: Array, rho_c: Array, gradient: Array) -> None:
     """Warp `frame1` and its gradient by `u0` and form the residual's constant part.
 
@@ -109,22 +126,9 @@ def linearize(frame0: Array, frame1: Array, gradient1: Array, u0: Array, rho_c: 
             top = math.floor(y)
             wx = cubic_weights(x - left)
             wy = cubic_weights(y - top)
-            value = 0.0
-            gx = 0.0
-            gy = 0.0
-            for p in range(4):
-                row_value = 0.0
-                row_gx = 0.0
-                row_gy = 0.0
-                r = top - 1 + p
-                for q in range(4):
-                    c = left - 1 + q
-                    row_value += wx[q] * frame1[r, c]
-                    row_gx += wx[q] * gradient1[0, r, c]
-                    row_gy += wx[q] * gradient1[1, r, c]
-                value += wy[p] * row_value
-                gx += wy[p] * row_gx
-                gy += wy[p] * row_gy
+            value = _sample(frame1, top, left, wx, wy)
+            gx = _sample(gradient1[0], top, left, wx, wy)
+            gy = _sample(gradient1[1], top, left, wx, wy)
             rho_c[i, j] = value - gx * u0[0, i, j] - gy * u0[1, i, j] - frame0[i, j]
             gradient[0, i, j] = gx
             gradient[1, i, j] = gy
