@@ -59,7 +59,7 @@ def estimate_flow(
     >>> result.flow.shape, float(abs(result.flow).max())
     ((2, 48, 64), 0.0)
     """
-    chosen = get_method(method)
+    chosen = get_method(method).require()
     settings = FlowParams().replace(chosen.defaults).replace(params)
     gray0, gray1 = to_gray(frame0, name="frame0"), to_gray(frame1, name="frame1")
     check_frames(gray0, gray1)

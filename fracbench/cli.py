@@ -119,6 +119,10 @@ def _build_parser() -> argparse.ArgumentParser:
     experiment = add("experiment", _experiment, "run an experiment of experiments/ and write its artefact")
     experiment.add_argument("name", help="name of the file, without .yaml")
     _add_overrides(experiment)
+    report = add("report", _report, "run what is missing of the whole paper; write everything on one HTML page")
+    report.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="dataset=, paths. and parallel only")
+    report.add_argument("--jobs", type=int, help="worker processes (default: 2)")
+    report.add_argument("--small", action="store_true", help=_SMALL)
     run = add("run", _run, "compute one configured flow; write it as .flo and as a picture")
     _add_overrides(run, grid=False)
     estimate = add("estimate", _estimate, "compute the flow between two images of your own")
@@ -138,6 +142,11 @@ def _build_parser() -> argparse.ArgumentParser:
     check.add_argument("--jobs", type=int, default=2, help="worker processes (default: 2)")
     check.add_argument("--update", action="store_true", help="rewrite the stored tables instead")
     check.add_argument("--reason", default="", help="why they change; recorded beside them")
+    bench = add("bench", _bench, "time the methods and the peers that are installed, interleaved, warm")
+    bench.add_argument("--repeats", type=int, default=5, help="timed rounds; the median counts (default: 5)")
+    bench.add_argument("--threads", type=int, default=1, help="threads of BLAS and of the peers (default: 1)")
+    bench.add_argument("--only", nargs="+", default=[], metavar="NAME", help="contenders, by beginning of name")
+    _add_overrides(bench, grid=False)
     data = add("data", _data, "say where the Middlebury data are and whether they are whole; fetch them")
     data.add_argument("--download", action="store_true", help="download what is missing into the user's cache")
     add("methods", _methods, "list the methods and their parameters")
@@ -151,11 +160,15 @@ _GRID_HELP = (
 )
 
 
+_SMALL = "thin every grid, to try it out; the names of files end in _small"
+
+
 def _add_overrides(parser: argparse.ArgumentParser, *, grid: bool = True) -> None:
     parser.add_argument("overrides", nargs="*", metavar="KEY=GRID" if grid else "KEY=VALUE")
     if grid:
         parser.add_argument("--jobs", type=int, help="worker processes (default: 2)")
         parser.add_argument("--dry-run", action="store_true", help="count points and minutes, compute nothing")
+        parser.add_argument("--small", action="store_true", help=_SMALL)
         parser.add_argument("--rerun", choices=["failed"], help="compute points again that failed")
 
 
@@ -202,13 +215,25 @@ def _experiment(arguments: argparse.Namespace) -> int:
     from fracbench.harness.experiment import load_experiment
 
     experiment = load_experiment(arguments.name)
-    settings = [token for token in arguments.overrides if token.startswith(("dataset=", "paths.", "parallel"))]
-    if len(settings) < len(arguments.overrides):
+    return _conduct(experiment, _settings(arguments.name, arguments.overrides), arguments)
+
+
+def _settings(name: str, overrides: Sequence[str]) -> Sequence[str]:
+    """Refuse overrides that would change an experiment's grid."""
+    if not all(token.startswith(("dataset=", "paths.", "parallel")) for token in overrides):
         raise InputError(
-            f"{arguments.name}: an experiment fixes its own grid; only dataset=, paths. and parallel can be set "
+            f"{name}: an experiment fixes its own grid; only dataset=, paths. and parallel can be set "
             "(for anything else: fracbench sweep)"
         )
-    return _conduct(experiment, settings, arguments)
+    return overrides
+
+
+def _report(arguments: argparse.Namespace) -> int:
+    from fracbench import paper
+
+    settings = _settings("report", arguments.overrides)
+    failed = paper.report(settings, jobs=arguments.jobs, small=arguments.small)
+    return EXIT_FAILED if failed else EXIT_DONE
 
 
 def _conduct(experiment: Experiment, settings: Sequence[str], arguments: argparse.Namespace) -> int:
@@ -221,6 +246,7 @@ def _conduct(experiment: Experiment, settings: Sequence[str], arguments: argpars
         jobs=arguments.jobs,
         dry_run=arguments.dry_run,
         rerun_failed=arguments.rerun == "failed",
+        small=arguments.small,
     )
     return EXIT_FAILED if outcome.failed else EXIT_DONE
 
@@ -254,6 +280,18 @@ def _check(arguments: argparse.Namespace) -> int:
         session.update_references(arguments.names, arguments.reason, jobs=arguments.jobs)
         return EXIT_DONE
     return EXIT_DONE if session.check_references(arguments.names, jobs=arguments.jobs) else EXIT_CHECK
+
+
+def _bench(arguments: argparse.Namespace) -> int:
+    from fracbench import session
+
+    session.bench(
+        arguments.overrides or ["sequence=all"],
+        repeats=arguments.repeats,
+        threads=arguments.threads,
+        only=arguments.only,
+    )
+    return EXIT_DONE
 
 
 def _data(arguments: argparse.Namespace) -> int:

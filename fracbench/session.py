@@ -18,6 +18,7 @@ from fracbench.harness.store import Store
 
 if TYPE_CHECKING:
     from fracbench.model.estimator import FlowResult
+    from fracbench.report.base import Artefact
 
 STORE = Path("runs") / "store.sqlite"
 
@@ -37,6 +38,7 @@ def conduct(
     jobs: int | None = None,
     dry_run: bool = False,
     rerun_failed: bool = False,
+    small: bool = False,
 ) -> Conducted:
     """Run what is missing of an experiment and write its artefact.
 
@@ -52,6 +54,8 @@ def conduct(
         Count points and minutes only.
     rerun_failed : bool, optional
         Compute points again that failed before.
+    small : bool, optional
+        Thin the grids; the artefact's name says so.
 
     Returns
     -------
@@ -64,22 +68,16 @@ def conduct(
         Anything that the user can put right.
     """
     if jobs is not None:
-        _require_workers(jobs)
-    plan = plan_experiment(experiment.grids, settings, allow_download=not dry_run)
+        require_workers(jobs)
+    plan = plan_experiment(experiment.grids, settings, allow_download=not dry_run, small=small)
     for notice in plan.notices:
         console.note(f"note: {notice}")
     results, workers = plan.config.results, jobs or plan.config.parallel.jobs
     if dry_run:
         _announce(plan, results, workers, rerun_failed)
         return Conducted(plan)
-    from fracbench.report.artefacts import render, require_renderer
-    from fracbench.report.tables import ensure_folder
-
-    require_renderer(experiment)
-    ensure_folder(results / STORE.parent)
-    with Store(results / STORE) as store:
-        report = _compute(plan, store, workers, rerun_failed, experiment.name)
-    artefact = render(experiment, plan, report.rows, results)
+    report, artefact = perform(experiment, plan, workers, rerun_failed=rerun_failed)
+    _say_computed(report)
     for title, view in artefact.views:
         console.show_table(view, title)
     for line in artefact.lines:
@@ -87,11 +85,54 @@ def conduct(
     _say_settings(plan)
     for path in artefact.files:
         console.say(f"wrote {path}")
-    _say_failures(report)
+    say_failures(report)
     return Conducted(plan, len(report.failed))
 
 
-def _require_workers(jobs: int) -> None:
+def perform(
+    experiment: Experiment, plan: Plan, jobs: int, *, rerun_failed: bool = False
+) -> tuple[execute.Report, Artefact]:
+    """Compute what is missing of an experiment, under a progress bar, and write its artefact.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Grids and artefact.
+    plan : Plan
+        Its points.
+    jobs : int
+        Worker processes.
+    rerun_failed : bool, optional
+        Compute points again that failed before.
+
+    Returns
+    -------
+    report : fracbench.harness.execute.Report
+        What was computed.
+    artefact : fracbench.report.base.Artefact
+        What was written.
+
+    Raises
+    ------
+    InputError
+        An unknown artefact, or a folder that cannot be written.
+    """
+    from fracbench.report.artefacts import render, require_renderer
+    from fracbench.report.tables import ensure_folder
+
+    require_renderer(experiment)
+    require_workers(jobs)
+    results = plan.config.results
+    ensure_folder(results / STORE.parent)
+    with Store(results / STORE) as store:
+        _, todo = execute.missing(plan, store, rerun_failed=rerun_failed)
+        with console.progress(len(todo), experiment.name) as advance:
+            report = execute.run(plan, store, jobs=jobs, rerun_failed=rerun_failed, on_row=advance)
+    return report, render(experiment, plan, report.rows, results)
+
+
+def require_workers(jobs: int) -> None:
+    """Refuse a number of worker processes below 1."""
     if jobs < 1:
         raise InputError(f"--jobs must be at least 1, got {jobs}")
 
@@ -110,31 +151,32 @@ def _announce(plan: Plan, results: Path, jobs: int, rerun_failed: bool) -> None:
     _say_settings(plan)
 
 
-def _compute(plan: Plan, store: Store, jobs: int, rerun_failed: bool, name: str) -> execute.Report:
-    _, todo = execute.missing(plan, store, rerun_failed=rerun_failed)
-    with console.progress(len(todo), name) as advance:
-        report = execute.run(plan, store, jobs=jobs, rerun_failed=rerun_failed, on_row=advance)
+def _say_computed(report: execute.Report) -> None:
     if report.computed:
         why = ", ".join(f"{count} {reason}" for reason, count in sorted(report.reasons.items()))
         console.note(f"{report.computed} points computed ({why}), {report.reused} taken from the store")
-    else:
+    elif report.rows:
         console.note(f"nothing to compute: all {report.reused} points are in the store")
-    return report
 
 
 def _say_settings(plan: Plan) -> None:
     config = plan.config
     shared = {planned.labels["protocol"] for planned in plan.points}
     boundaries = {planned.point.params.get("boundary") for planned in plan.points} - {None}
-    settings = [f"dataset {plan.dataset}", f"protocol {', '.join(sorted(shared))}"]
+    settings = [f"dataset {plan.dataset}"]
+    if shared:
+        settings.append(f"protocol {', '.join(sorted(shared))}")
     if boundaries:
         settings.append(f"boundary {', '.join(sorted(map(str, boundaries)))}")
     if config.region is not None:
         settings.append(f"context {config.context} px")
-    console.say(f"settings: {'; '.join(settings)}; other parameters in the CSV")
+    if plan.points:
+        settings.append("other parameters in the CSV")
+    console.say(f"settings: {'; '.join(settings)}")
 
 
-def _say_failures(report: execute.Report) -> None:
+def say_failures(report: execute.Report) -> None:
+    """Say how many points are not done, if any, and how to try them again."""
     if report.failed:
         console.complain(
             f"{len(report.failed)} of {len(report.rows)} points are not done (first: {report.failed[0].error}); "
@@ -165,7 +207,7 @@ def check_references(names: Sequence[str], *, jobs: int) -> bool:
     from fracbench.harness import regression
     from fracbench.report.tables import tidy
 
-    _require_workers(jobs)
+    require_workers(jobs)
     wanted = _stored(names)
     holds, compared = True, 0
     for name in wanted:
@@ -216,10 +258,54 @@ def update_references(names: Sequence[str], reason: str, *, jobs: int) -> None:
     from fracbench.harness import regression
     from fracbench.report.tables import tidy
 
-    _require_workers(jobs)
+    require_workers(jobs)
     for name in list(names) or _stored(names):
         for path in regression.update(name, reason, jobs=jobs, tabulate=tidy):
             console.say(f"wrote {path}")
+
+
+def bench(tokens: Sequence[str], *, repeats: int, threads: int, only: Sequence[str]) -> None:
+    """Time the contenders, print the table, write CSV and picture below ``results/runs/bench``.
+
+    Parameters
+    ----------
+    tokens : sequence of str
+        Overrides that choose sequences, data set and paths.
+    repeats : int
+        Timed rounds.
+    threads : int
+        Threads of BLAS and of the peers.
+    only : sequence of str
+        Contenders, by beginning of name; all if empty.
+
+    Raises
+    ------
+    InputError
+        Numbers below 1, unknown contenders.
+    """
+    if repeats < 1 or threads < 1:
+        raise InputError(f"bench: --repeats and --threads must be at least 1, got {repeats} and {threads}")
+    import pandas as pd
+
+    from fracbench.harness import bench as racing
+    from fracbench.harness.provenance import machine
+    from fracbench.report import benchmark, tables
+    from fracbench.report.style import save_figure
+
+    racers = racing.contenders(only)
+    plan = make_plan(tokens)
+    folder = tables.ensure_folder(plan.config.results / "runs" / "bench")
+    with console.progress(len(plan.points) * len(racers) * repeats, "bench") as advance:
+        records = racing.run(racers, tokens, repeats=repeats, threads=threads, on_lap=advance)
+    summary = benchmark.summarise(records, racing.YARDSTICK)
+    console.show_table(
+        summary.round(4), f"mean over {len(plan.points)} sequences, {threads} thread(s), {plan.dataset}"
+    )
+    console.say(f"ratio: to {racing.YARDSTICK}; seconds: median of {repeats} rounds; on {machine()['cpu']}")
+    stem = folder / f"bench_{threads}_threads"
+    figure = benchmark.error_against_time(summary, f"Error against time, {threads} thread(s)")
+    for path in [tables.write_table(pd.DataFrame(records), stem), *save_figure(figure, stem)]:
+        console.say(f"wrote {path}")
 
 
 def run_one(tokens: Sequence[str]) -> None:

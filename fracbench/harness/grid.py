@@ -81,6 +81,22 @@ class Grid:
                 point.update(zip(axis.keys, row, strict=True))
             yield point
 
+    def thinned(self, n: int = 3) -> Grid:
+        """Return a small grid of the same shape, to try an experiment out.
+
+        Parameters
+        ----------
+        n : int, optional
+            Values kept on an axis of numbers, at least 2: its ends and those evenly between them. Of
+            several sequences or regions the first two are kept; other names stay as they are.
+
+        Returns
+        -------
+        Grid
+            Axes in the same order, with a part of their values.
+        """
+        return Grid(tuple(Axis(axis.keys, _thinned(axis, n)) for axis in self.axes))
+
     def _columns(self) -> Iterator[tuple[str, tuple[str, ...]]]:
         for axis in self.axes:
             yield from zip(axis.keys, zip(*axis.values, strict=True), strict=True)
@@ -185,6 +201,15 @@ def expand_names(pattern_values: Sequence[str], allowed: Sequence[str], kind: st
             raise InputError(f"no {kind} matches {pattern!r} (allowed: {', '.join(allowed)})")
         names.update(dict.fromkeys(hits))
     return list(names)
+
+
+def _thinned(axis: Axis, n: int) -> tuple[tuple[str, ...], ...]:
+    if axis.keys[0] in ("sequence", "region"):
+        return axis.values[:2]
+    last = len(axis.values) - 1
+    if last < n or any(canonical_number(value) is None for row in axis.values for value in row):
+        return axis.values
+    return tuple(axis.values[round(i * last / (n - 1))] for i in range(n))
 
 
 def _parse_token(token: str) -> Axis:

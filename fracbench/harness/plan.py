@@ -100,6 +100,8 @@ class Plan:
         Configuration of the first point, for settings that hold for all.
     stand_in : bool
         Whether synthetic scenes take the place of Middlebury sequences that were asked for.
+    small : bool
+        Whether the grid was thinned.
     """
 
     points: tuple[PlannedPoint, ...]
@@ -109,13 +111,14 @@ class Plan:
     config: RunConfig
     notices: tuple[str, ...] = field(default=())
     stand_in: bool = False
+    small: bool = False
 
     def unique(self) -> dict[str, Point]:
         """Return the distinct points by key, in order."""
         return {planned.point.key: planned.point for planned in self.points}
 
 
-def make_plan(tokens: Sequence[str], *, allow_download: bool = True) -> Plan:
+def make_plan(tokens: Sequence[str], *, allow_download: bool = True, small: bool = False) -> Plan:
     """Expand overrides to points.
 
     Parameters
@@ -124,6 +127,8 @@ def make_plan(tokens: Sequence[str], *, allow_download: bool = True) -> Plan:
         Overrides in the grammar of `fracbench.harness.grid`.
     allow_download : bool, optional
         Whether missing Middlebury data may be downloaded.
+    small : bool, optional
+        Thin the grid: see `Grid.thinned`.
 
     Returns
     -------
@@ -133,13 +138,17 @@ def make_plan(tokens: Sequence[str], *, allow_download: bool = True) -> Plan:
     Raises
     ------
     InputError
-        Malformed overrides, unknown names, values out of range, data that cannot be had.
+        Malformed overrides, unknown names, values out of range, data or peers that cannot be had.
     """
     grid = _expand_globs(parse_overrides(tokens))
+    if small:
+        grid = grid.thinned()
     if grid.size > MAX_POINTS:
         raise InputError(f"{' '.join(tokens)}: {grid.size} points are more than the limit of {MAX_POINTS}")
     _check_keys(grid)
     configs = [_configure(values) for values in grid.points()]
+    for method in {config.method.name: config.method for config in configs}.values():
+        method.require()
     wanting = next((config for config in configs if config.sequence.dataset != "synthetic"), None)
     resolved = _resolve_data(wanting or configs[0], allow_download)
     points = [_planned(config, resolved.dataset, resolved.folder) for config in configs]
@@ -147,23 +156,37 @@ def make_plan(tokens: Sequence[str], *, allow_download: bool = True) -> Plan:
     notices += _idle_keys(grid.varying, points)
     stand_in = wanting is not None and resolved.dataset == "synthetic"
     return Plan(
-        tuple(points), grid.varying, resolved.dataset, resolved.folder, configs[0], tuple(notices), stand_in
+        points=tuple(points),
+        varying=grid.varying,
+        dataset=resolved.dataset,
+        folder=resolved.folder,
+        config=configs[0],
+        notices=tuple(notices),
+        stand_in=stand_in,
+        small=small,
     )
 
 
 def plan_experiment(
-    grids: Mapping[str, Sequence[str]], settings: Sequence[str] = (), *, allow_download: bool = True
+    grids: Mapping[str, Sequence[str]],
+    settings: Sequence[str] = (),
+    *,
+    allow_download: bool = True,
+    small: bool = False,
 ) -> Plan:
     """Expand the grids of an experiment to one plan.
 
     Parameters
     ----------
     grids : mapping of str to sequence of str
-        Overrides by the part of the artefact that they feed.
+        Overrides by the part of the artefact that they feed. Without any, the plan has no points, only the
+        data set: for artefacts that show data or parameters.
     settings : sequence of str, optional
         Overrides added to each grid.
     allow_download : bool, optional
         Whether missing Middlebury data may be downloaded.
+    small : bool, optional
+        Thin every grid: see `Grid.thinned`.
 
     Returns
     -------
@@ -173,12 +196,13 @@ def plan_experiment(
     Raises
     ------
     InputError
-        See `make_plan`; no grid at all.
+        See `make_plan`.
     """
     if not grids:
-        raise InputError("an experiment needs at least one grid")
+        return replace(make_plan(settings, allow_download=allow_download, small=small), points=(), varying=())
     plans = {
-        part: make_plan((*tokens, *settings), allow_download=allow_download) for part, tokens in grids.items()
+        part: make_plan((*tokens, *settings), allow_download=allow_download, small=small)
+        for part, tokens in grids.items()
     }
     points = tuple(
         replace(planned, labels={"part": part, **planned.labels})
@@ -186,9 +210,18 @@ def plan_experiment(
         for planned in plan.points
     )
     first = next(iter(plans.values()))
+    real = next((plan for plan in plans.values() if plan.dataset == "middlebury"), first)
     varying = tuple(dict.fromkeys(key for plan in plans.values() for key in plan.varying))
     notices = tuple(dict.fromkeys(notice for plan in plans.values() for notice in plan.notices))
-    return replace(first, points=points, varying=varying, notices=notices)
+    return replace(
+        first,
+        points=points,
+        varying=varying,
+        notices=notices,
+        dataset=real.dataset,
+        folder=real.folder,
+        stand_in=any(plan.stand_in for plan in plans.values()),
+    )
 
 
 def _expand_globs(grid: Grid) -> Grid:

@@ -6,11 +6,12 @@ The module itself imports no numerics: planning a sweep needs names and paramete
 from __future__ import annotations
 
 import importlib
+import importlib.util
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from fracbench.errors import unknown_name
+from fracbench.errors import InputError, unknown_name
 from fracbench.model.params import FlowParams
 
 _PYRAMID = frozenset(FlowParams.names()) - {
@@ -39,6 +40,8 @@ class Method:
         The parameters it depends on, by public name: no other enters the key of its results.
     defaults : mapping
         Parameters it starts from where they differ from `FlowParams`' own.
+    requires : tuple of str
+        Modules of other programs, which an extra installs.
     """
 
     name: str
@@ -47,6 +50,7 @@ class Method:
     home: str
     uses: frozenset[str]
     defaults: Mapping[str, Any] = field(default_factory=dict)
+    requires: tuple[str, ...] = ()
 
     @property
     def estimate(self) -> Callable[..., Any]:
@@ -54,6 +58,19 @@ class Method:
         module, _, function = self.home.partition(":")
         estimate: Callable[..., Any] = getattr(importlib.import_module(module), function)
         return estimate
+
+    def require(self) -> Method:
+        """Return the method itself, if all that it needs is installed.
+
+        Raises
+        ------
+        InputError
+            A module is missing; the message says how to get it.
+        """
+        for module in self.requires:
+            if importlib.util.find_spec(module) is None:
+                raise InputError(f"method {self.name!r} needs {module}: pip install 'fracbench[peers]'")
+        return self
 
 
 METHODS: dict[str, Method] = {}
@@ -127,3 +144,16 @@ register(
         _BREGMAN | {"alpha", "boundary", "pad"},
     )
 )
+
+
+def _register_peer(name: str, label: str, summary: str, module: str) -> None:
+    register(Method(name, label, summary, f"fracbench.methods.peers:{name}", frozenset(), requires=(module,)))
+
+
+_register_peer("opencv_tvl1", "OpenCV DualTVL1", "OpenCV's TV-L1, defaults", "cv2")
+_register_peer("opencv_tvl1_deep", "OpenCV DualTVL1 (6 scales)", "OpenCV's TV-L1, 6 scales of step .5", "cv2")
+_register_peer("opencv_dis", "OpenCV DIS", "OpenCV's dense inverse search, preset medium", "cv2")
+_register_peer("opencv_farneback", "OpenCV Farneback", "OpenCV's Farneback flow, defaults", "cv2")
+_register_peer("skimage_tvl1", "scikit-image TV-L1", "scikit-image's TV-L1, defaults", "skimage")
+_register_peer("skimage_tvl1_ipol", "scikit-image TV-L1 (IPOL)", "scikit-image's TV-L1, IPOL's weight", "skimage")
+_register_peer("skimage_ilk", "scikit-image iLK", "scikit-image's iterative Lucas-Kanade, defaults", "skimage")

@@ -53,7 +53,12 @@ class FlowResult:
 
     @property
     def stop_reason(self) -> str:
-        """Return ``"diverged"`` if any warp did, else ``"max_iter"`` if any hit it, else ``"converged"``."""
+        """``"diverged"`` if any warp did, else ``"max_iter"`` if any hit it, else ``"converged"``.
+
+        ``"not told"`` for peers, which say nothing of their iterations.
+        """
+        if not self.levels and np.isfinite(self.flow).all():
+            return "not told"
         reasons = {reason for level in self.levels for reason in level.stop}
         if not np.isfinite(self.flow).all() or "diverged" in reasons:
             return "diverged"

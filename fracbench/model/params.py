@@ -72,7 +72,7 @@ class FlowParams:
         1.1, "order of the fractional gradient", symbol=r"\alpha", paper_range="[0, 2]", low=0.0, high=2.0
     )
     epsilon: float = _param(
-        0.01, "stopping threshold on the change of the flow, pixels", symbol=r"\epsilon", paper_range="0.01",
+        0.02, "stopping threshold on the change of the flow, pixels", symbol=r"\epsilon", paper_range="0.01",
         low=0.0,
     )  # fmt: skip
     eta: float = _param(

@@ -206,8 +206,7 @@ def _alternate(
     for n in range(1, params.max_iter + 1):
         inner += regularizer.step(v_step.target(u, linear), u, after)
         change = mean_squared_change(after, u)
-        # The caller's u0 may be the array behind `u`: swap names, never overwrite it.
-        u, after = after, (np.empty_like(u) if n == 1 else u)
+        u, after = after, u
         if trace:
             energies.append(_energy(u, linear, params, regularizer))
         if not np.isfinite(change):

@@ -15,8 +15,8 @@ from fracbench.data import middlebury as middlebury_data
 from fracbench.data.middlebury import SEQUENCES, Resolved
 from fracbench.errors import InputError
 from fracbench.harness import plan as plan_module
-from fracbench.harness.config import group_options
-from fracbench.harness.plan import Plan, canonical_value, make_plan
+from fracbench.harness.config import group_options, load_config
+from fracbench.harness.plan import Plan, canonical_value, make_plan, plan_experiment
 from fracbench.methods.registry import get_method
 from fracbench.model.params import FlowParams
 
@@ -133,6 +133,7 @@ def test_every_parameter_of_the_region_reaches_the_point(middlebury_found):
         "boundary": "zero",
     }
     assert {name: planned.point.params[name] for name in wanted} == wanted
+    assert list(planned.point.params) == sorted(get_method("tvl1_sb_alpha").uses)
     assert planned.labels == {
         "dataset": "middlebury",
         "sequence": "grove2",
@@ -159,6 +160,14 @@ def test_a_grid_too_large_is_counted_not_made():
     assert "100000" in refusal("alpha=0:2:0.001", "region=all", "lambda=0.01:1:0.01")
 
 
+def test_a_grid_may_be_thinned_to_try_it_out(middlebury_found):
+    made = make_plan(["alpha=0:2:0.1", "region=all", "boundary=zero,reflect"], small=True)
+    assert made.small
+    assert params(made, "alpha")[::4] == ["0", "1", "2"]
+    assert len(made.points) == 3 * 2 * 2
+    assert not plan("alpha=0,1", FLAT).small
+
+
 # -- keys ----------------------------------------------------------------------------------------
 
 #: Another value for each parameter, other than the one it has in `BASE`.
@@ -167,7 +176,8 @@ OTHER = {
     "n_scales": "3", "n_warps": "6", "max_iter": "301", "presmoothing": "0.7", "boundary": "reflect", "pad": "4",
     "u_solver": "gauss_seidel", "inner": "cold", "tol": "0.02", "max_inner": "31", "tau": "0.2",
     "upsample_gain": "0.5", "relinearise": "false", "dual_restart": "true", "gradient_scale": "2",
-    "epsilon_squared": "false", "dtype": "float64",
+    "epsilon_squared": "false", "dtype": "float64", "coupling": "penalty", "coupling_step": "2",
+    "relaxation": "1.1",
 }  # fmt: skip
 
 
@@ -175,7 +185,7 @@ def test_every_parameter_is_varied_here():
     assert set(OTHER) == set(FlowParams.names())
 
 
-@pytest.mark.parametrize("method", group_options("method"))
+@pytest.mark.parametrize("method", ["tvl1", "tvl1_sb", "tvl1_sb_alpha"])
 @pytest.mark.parametrize("name", sorted(OTHER))
 def test_a_key_changes_with_a_parameter_exactly_if_the_method_uses_it(method, name):
     base = [FLAT, f"method={method}"]
@@ -217,8 +227,11 @@ def test_a_key_changes_with_the_solvers_version_but_an_identity_does_not(monkeyp
 
 def test_a_key_does_not_depend_on_labels():
     """The protocol is a name for parameters: the same ones are the same point."""
-    reference = {"epsilon": "0.003", "boundary": "zero", "n_warps": "5", "max_iter": "300"}
-    tokens = [f"{name}={value}" for name, value in reference.items()]
+    reference, own = (
+        load_config({"sequence": "synthetic_flat", "protocol": name}).params.as_dict()
+        for name in ("reference", "recommended")
+    )
+    tokens = [f"{name}={value}" for name, value in reference.items() if value != own[name]]
     assert key(FLAT, "protocol=recommended", *tokens) == key(FLAT, "protocol=reference")
     assert key(FLAT, "protocol=recommended") != key(FLAT, "protocol=reference")
 
@@ -338,6 +351,41 @@ def test_where_the_data_are_asked_for_is_passed_on(monkeypatch):
     plan("sequence=grove2", "paths.data=there")
     make_plan(["sequence=grove2", "dataset=middlebury"])
     assert seen == [("auto", "there", False), ("middlebury", None, True)]
+
+
+# -- several grids -------------------------------------------------------------------------------
+
+
+def test_the_grids_of_an_experiment_are_one_plan():
+    grids = {"main": ["alpha=0,1", FLAT], "more": ["alpha=1", "theta=0.1,0.2", FLAT, "method=tvl1"]}
+    made = plan_experiment(grids, ["paths.results=out"])
+    assert labels(made, "part") == ["main", "main", "more", "more"]
+    assert [planned.point.key for planned in made.points] == keys(*grids["main"]) + keys(*grids["more"])
+    assert made.varying == ("alpha", "theta")
+    assert made.config.results == Path("out")
+    assert not made.stand_in
+
+
+def test_grids_may_share_points():
+    made = plan_experiment({"a": ["alpha=0,1", FLAT], "b": ["alpha=1,2", FLAT]})
+    assert (len(made.points), len(made.unique())) == (4, 3)
+
+
+def test_a_remark_on_several_grids_is_made_once(no_middlebury):
+    made = plan_experiment({"a": ["sequence=grove2"], "b": ["sequence=venus"]}, allow_download=False)
+    assert len(made.notices) == 1
+
+
+def test_without_grids_there_is_a_data_set_and_no_point(middlebury_found):
+    made = plan_experiment({})
+    assert (made.points, made.varying, made.dataset, made.folder) == ((), (), "middlebury", Path("m"))
+
+
+def test_the_data_of_every_grid_count(middlebury_found):
+    grids = {"scenes": [FLAT], "paper": ["sequence=grove2"]}
+    made = plan_experiment(grids)
+    assert (made.dataset, made.folder, made.stand_in) == ("middlebury", Path("m"), False)
+    assert plan_experiment(grids, ["dataset=synthetic"]).stand_in
 
 
 # -- notices and refusals ------------------------------------------------------------------------

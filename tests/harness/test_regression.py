@@ -240,7 +240,7 @@ def test_a_stored_table_holds_until_a_parameter_changes(reference, work):
     paths = store_table()
     assert paths == [reference / "mini.csv", reference / "mini.json"]
     stored = pd.read_csv(paths[0])
-    assert list(stored) == ["protocol", "sequence", "region", "method", "alpha", *MEASURED, *COUNTED]
+    assert list(stored) == ["part", "protocol", "sequence", "region", "method", "alpha", *MEASURED, *COUNTED]
     # TV-L1 does not depend on alpha: it has one row.
     assert [*zip(stored["method"], stored["alpha"].fillna(-1), strict=True)] == [
         ("tvl1", -1),
@@ -251,7 +251,7 @@ def test_a_stored_table_holds_until_a_parameter_changes(reference, work):
     assert (verdict.differences, verdict.skipped, verdict.cells) == ([], "", 3 * 7)
     write_experiment(work, theta="0.303")
     moved = recheck().differences
-    assert "reference, synthetic_flat, tvl1_sb_alpha, 1.0" in {difference.row for difference in moved}
+    assert "main, reference, synthetic_flat, tvl1_sb_alpha, 1.0" in {difference.row for difference in moved}
     assert {difference.column for difference in moved} <= set(MEASURED)
     for difference in moved:
         assert difference.allowed == "1e-06 + 0.001 of the stored"
@@ -316,7 +316,7 @@ def test_points_that_fail_are_told_apart_from_those_that_hold(reference, made_up
 
     monkeypatch.setattr(regression, "recompute", one_fails)
     moved = recheck().differences
-    assert {difference.row for difference in moved} == {"reference, synthetic_flat, tvl1_sb_alpha, 0.5"}
+    assert {difference.row for difference in moved} == {"main, reference, synthetic_flat, tvl1_sb_alpha, 0.5"}
     assert {difference.column for difference in moved} == {*MEASURED, *COUNTED}
     monkeypatch.setattr(regression, "recompute", lambda plan, *_: fake_rows(plan, status="failed"))
     assert len(recheck().differences) == 3 * 7

@@ -32,7 +32,7 @@ VARIATIONS = {
     "coupling_step": ({"coupling": "multiplier"}, 3.0, 1.0),
     "relaxation": ({"coupling": "multiplier", "inner": "warm"}, 1.7, 1.0),
     "tol": ({"inner": "cold"}, 0.1, 0.001),
-    "max_inner": ({"inner": "cold", "tol": 1e-6}, 10, 2),
+    "max_inner": ({"inner": "cold", "tol": 1e-6}, 8, 2),
     "tau": ({}, 0.25, 0.1),
     "upsample_gain": ({}, None, 0.5),
     "relinearise": ({}, True, False),
@@ -41,7 +41,7 @@ VARIATIONS = {
     "epsilon_squared": ({}, True, False),
     "dtype": ({}, "float32", "float64"),
 }
-SMALL = {"n_warps": 3, "max_iter": 10, "epsilon": 1e-3}
+SMALL = {"n_warps": 3, "max_iter": 10, "epsilon": 1e-3, "max_inner": 8}
 
 
 @pytest.fixture(scope="module")
@@ -79,6 +79,13 @@ def test_a_method_depends_on_what_it_says_it_uses_and_on_nothing_else(frames, me
     first, second = (flow(method, frames, **{**context, parameter: value}) for value in values)
     assert np.isfinite(first).all()
     assert np.array_equal(first, second) == (parameter not in get_method(method).uses)
+
+
+@pytest.mark.parametrize("values", [{"coupling_step": 1.0}, {"relaxation": 1.2}])
+def test_the_penalty_coupling_ignores_what_belongs_to_the_multiplier(frames, values):
+    for method in ("tvl1_sb", "tvl1_sb_alpha"):
+        plain = flow(method, frames, coupling="penalty", inner="warm")
+        np.testing.assert_array_equal(flow(method, frames, coupling="penalty", inner="warm", **values), plain)
 
 
 def test_methods_differ(frames):

@@ -5,7 +5,7 @@ import pytest
 import reference_impl as ref
 
 from fracbench.model.fractional import NaturalGradient, ZeroGradient, make_operator
-from fracbench.model.linear import gauss_seidel_dense, gauss_seidel_natural, inverse_eigenvalues
+from fracbench.model.linear import gauss_seidel_dense, gauss_seidel_natural, inverse_eigenvalues, jacobi_sweep
 
 THETA, MU = 0.3, 5.0
 CASES = [
@@ -68,6 +68,15 @@ def test_gauss_seidel_dense_is_algorithm_4_with_corrected_signs(rng, alpha, pad)
     expected = ref.gauss_seidel_alpha(u, rhs, alpha, THETA, MU, pad)
     sweep(operator, u, rhs)
     np.testing.assert_allclose(u, expected, atol=1e-13)
+
+
+@pytest.mark.parametrize("alpha", [0.0, 0.6, 1.0, 1.4, 2.0])
+def test_jacobi_is_the_printed_sweep_with_corrected_signs(rng, alpha):
+    u, rhs = rng.normal(size=(2, 5, 4))
+    before = u.copy()
+    result = jacobi_sweep(u, rhs, *ZeroGradient(alpha, (5, 4)).normal_matrices(), THETA, MU)
+    np.testing.assert_allclose(result, ref.jacobi_alpha(u, rhs, alpha, THETA, MU, sign=-1), atol=1e-13)
+    np.testing.assert_array_equal(u, before)
 
 
 @pytest.mark.parametrize("shape", [(5, 4), (1, 6), (6, 1)])

@@ -1,0 +1,68 @@
+"""The benchmark's table and its picture of error against time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+
+def summarise(records: Sequence[Mapping[str, Any]], yardstick: str) -> pd.DataFrame:
+    """Return one row a contender: means over the sequences, fastest first.
+
+    Parameters
+    ----------
+    records : sequence of mapping
+        From `fracbench.harness.bench.run`.
+    yardstick : str
+        The contender that times are relative to; the ratio is NaN if it did not run.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``contender, seconds, ratio, aae, aepe, peak_mib``; `seconds` is the mean over the sequences of the
+        median over the rounds, `ratio` the quotient of two such means.
+    """
+    import pandas as pd
+
+    table = pd.DataFrame.from_records(list(records))
+    means = table.groupby("contender", sort=False)[["seconds", "aae", "aepe"]].mean()
+    means["peak_mib"] = table.groupby("contender", sort=False)["peak_mib"].max()
+    base = means["seconds"].get(yardstick, float("nan"))
+    means.insert(1, "ratio", means["seconds"] / base)
+    return means.sort_values("seconds").reset_index()
+
+
+def error_against_time(summary: pd.DataFrame, title: str) -> Figure:
+    """Draw each contender's mean AEPE against its mean time, both logarithmic.
+
+    Parameters
+    ----------
+    summary : pandas.DataFrame
+        From `summarise`.
+    title : str
+        Heading.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        One panel.
+    """
+    from fracbench.report.style import PALETTE, house_style, new_figure
+
+    with house_style():
+        figure = new_figure(4.6)
+        axes = figure.subplots()
+        axes.set(xscale="log", yscale="log", xlabel="seconds a sequence", ylabel="mean AEPE [px]", title=title)
+        for i, row in enumerate(summary.itertuples(index=False)):
+            ours = str(row.contender).startswith("tvl1")
+            axes.plot(row.seconds, row.aepe, "o" if ours else "s", color=PALETTE[0 if ours else 1])
+            axes.annotate(
+                str(row.contender), (row.seconds, row.aepe), xytext=(5, 4 if i % 2 else -9),
+                textcoords="offset points", fontsize=6.5,
+            )  # fmt: skip
+        axes.margins(x=0.2)
+    return figure
