@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 FRACBENCH := $(BIN)/python -m fracbench
 
 .DEFAULT_GOAL := help
-.PHONY: help setup table2 check test lint format clean
+.PHONY: help setup table2 figures paper check test lint format clean
 
 help: ## list the commands
 	@awk -F ':.*## ' '/^[a-z0-9_-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -19,6 +19,12 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 
 table2: $(VENV)/.ready ## Table 2 of the paper, published beside recomputed
 	$(FRACBENCH) table 2
+
+figures: $(VENV)/.ready ## all figures of the paper
+	for number in 1 2 3 4 5 6 7; do $(FRACBENCH) figure $$number || exit; done
+
+paper: $(VENV)/.ready ## everything of the paper, with a verdict on every claim, on one page
+	$(FRACBENCH) report
 
 check: $(VENV)/.ready ## recompute the stored tables and compare them cell by cell
 	$(FRACBENCH) check

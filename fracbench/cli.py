@@ -123,6 +123,9 @@ def _build_parser() -> argparse.ArgumentParser:
     report.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="dataset=, paths. and parallel only")
     report.add_argument("--jobs", type=int, help="worker processes (default: 2)")
     report.add_argument("--small", action="store_true", help=_SMALL)
+    claims = add("claims", _claims, "judge the paper's claims by what is stored; compute nothing")
+    claims.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="dataset= and paths. only")
+    claims.add_argument("--small", action="store_true", help="judge the thinned grids")
     run = add("run", _run, "compute one configured flow; write it as .flo and as a picture")
     _add_overrides(run, grid=False)
     estimate = add("estimate", _estimate, "compute the flow between two images of your own")
@@ -229,11 +232,20 @@ def _settings(name: str, overrides: Sequence[str]) -> Sequence[str]:
 
 
 def _report(arguments: argparse.Namespace) -> int:
-    from fracbench import paper
+    from fracbench import reproduce
 
     settings = _settings("report", arguments.overrides)
-    failed = paper.report(settings, jobs=arguments.jobs, small=arguments.small)
+    failed = reproduce.report(settings, jobs=arguments.jobs, small=arguments.small)
     return EXIT_FAILED if failed else EXIT_DONE
+
+
+def _claims(arguments: argparse.Namespace) -> int:
+    from fracbench import reproduce
+
+    settings = _settings("claims", arguments.overrides)
+    for line in reproduce.judge(settings, small=arguments.small, show=True):
+        console.say(line)
+    return EXIT_DONE
 
 
 def _conduct(experiment: Experiment, settings: Sequence[str], arguments: argparse.Namespace) -> int:

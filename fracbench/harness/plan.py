@@ -257,9 +257,15 @@ def _check_keys(grid: Grid) -> None:
 
 
 def _configure(values: Mapping[str, str]) -> RunConfig:
-    choices = {key: value for key, value in values.items() if key in GROUPS}
+    choices = tuple((key, value) for key, value in values.items() if key in GROUPS)
     rest = {key: value for key, value in values.items() if key not in GROUPS}
-    return load_config(choices).override(rest)
+    return _chosen(choices).override(rest)
+
+
+@lru_cache(maxsize=256)
+def _chosen(choices: tuple[tuple[str, str], ...]) -> RunConfig:
+    # Thousands of points share a few choices of groups; checking a record takes a millisecond.
+    return load_config(dict(choices))
 
 
 def _resolve_data(config: RunConfig, allow_download: bool) -> Any:

@@ -202,8 +202,9 @@ def _alternate(
     """Minimise E(u, v) for one linearisation by turns over v and u."""
     after = np.empty_like(u)
     limit = params.epsilon**2 if params.epsilon_squared else params.epsilon
-    stop, inner, energies = "max_iter", 0, []
-    for n in range(1, params.max_iter + 1):
+    stop, count, inner, energies = "max_iter", 0, 0, []
+    while count < params.max_iter:
+        count += 1
         inner += regularizer.step(v_step.target(u, linear), u, after)
         change = mean_squared_change(after, u)
         u, after = after, u
@@ -215,7 +216,7 @@ def _alternate(
         if change < limit:
             stop = "converged"
             break
-    report.iterations.append(n)
+    report.iterations.append(count)
     report.inner_iterations.append(inner)
     report.stop.append(stop)
     if trace:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,35 +13,14 @@ from fracbench.harness.assets import asset
 from fracbench.harness.experiment import Experiment
 from fracbench.harness.plan import Plan
 from fracbench.harness.store import Row
-from fracbench.report import tables
+from fracbench.report import paper, tables
+from fracbench.report.alpha_regions import alpha_regions
+from fracbench.report.base import Artefact, Renderer, best_values, file_stem
+from fracbench.report.protocol_study import protocol_study
+from fracbench.report.solver_study import solver_study
 
 if TYPE_CHECKING:
     import pandas as pd
-
-#: A value counts as good as the best if its error is at most this much larger.
-FLAT = 0.02
-
-
-@dataclass
-class Artefact:
-    """What a renderer made.
-
-    Attributes
-    ----------
-    files : list of Path
-        Files written.
-    views : list of (str, pandas.DataFrame)
-        Tables for the terminal, with their titles; cells are strings.
-    lines : list of str
-        Sentences for the terminal.
-    """
-
-    files: list[Path] = field(default_factory=list)
-    views: list[tuple[str, pd.DataFrame]] = field(default_factory=list)
-    lines: list[str] = field(default_factory=list)
-
-
-Renderer = Callable[[Experiment, Plan, Mapping[str, Row], Path], Artefact]
 
 
 def render(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
@@ -83,11 +61,6 @@ def require_renderer(experiment: Experiment) -> Renderer:
     if experiment.artefact not in RENDERERS:
         raise unknown_name("artefact", experiment.artefact, RENDERERS, f"experiment {experiment.name}")
     return RENDERERS[experiment.artefact]
-
-
-def file_stem(name: str, plan: Plan, folder: Path) -> Path:
-    """Return where an artefact goes: what was computed on the synthetic scenes says so in its name."""
-    return folder / (f"{name}_synthetic" if plan.stand_in else name)
 
 
 def _table2(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
@@ -152,44 +125,6 @@ def split_varying(table: pd.DataFrame, plan: Plan) -> tuple[list[str], list[str]
     return [key for key in keys if key not in numeric], numeric
 
 
-def best_values(table: pd.DataFrame, names: list[str], numbers: list[str]) -> pd.DataFrame:
-    """Return for each combination of names where the errors are smallest, and how flat the minimum is.
-
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        Finished rows of a sweep.
-    names, numbers : list of str
-        Varying keys.
-
-    Returns
-    -------
-    pandas.DataFrame
-        Strings, for reading: the best values and errors; for one swept number the range within 2 % of the best.
-        ``any`` stands for a number that the method does not depend on.
-    """
-    import pandas as pd
-
-    records = []
-    groups = table.groupby(names, sort=False, dropna=False) if names else [((), table)]
-    for values, part in groups:
-        record: dict[str, Any] = dict(zip(names, values, strict=True))
-        for metric in ("aae", "aepe"):
-            best = part.loc[part[metric].idxmin()] if part[metric].notna().any() else None
-            shown = "none" if best is None else ", ".join(_number(best[number]) for number in numbers)
-            record[f"{metric.upper()} best at"] = shown
-            record[metric.upper()] = "" if best is None else f"{best[metric]:.4f}"
-            if len(numbers) == 1 and best is not None:
-                near = part[part[metric] <= (1.0 + FLAT) * best[metric]][numbers[0]]
-                record[f"{metric.upper()} within {FLAT:.0%}"] = f"{_number(near.min())} to {_number(near.max())}"
-        records.append(record)
-    return pd.DataFrame(records)
-
-
-def _number(value: float) -> str:
-    return "any" if np.isnan(value) else f"{value:g}"
-
-
 def _sweep_figure(title: str, table: pd.DataFrame, names: list[str], numbers: list[str]) -> Any:
     from fracbench.report.figures import alpha_curves, heat_map
 
@@ -216,4 +151,14 @@ def _is_logarithmic(values: pd.Series) -> bool:
     return bool(grid.size > 2 and grid[0] > 0 and np.ptp(np.diff(np.log(grid))) < 0.1 * np.ptp(np.diff(grid)))
 
 
-RENDERERS: dict[str, Renderer] = {"sweep": _sweep, "table2": _table2}
+RENDERERS: dict[str, Renderer] = {
+    "alpha_regions": alpha_regions,
+    "family": paper.family,
+    "frames": paper.frames,
+    "protocol_study": protocol_study,
+    "region_boxes": paper.region_boxes,
+    "solver_study": solver_study,
+    "sweep": _sweep,
+    "table1": paper.table1,
+    "table2": _table2,
+}

@@ -1,4 +1,4 @@
-"""The figures: tidy tables and arrays in, matplotlib figures out. No file is read or written here.
+"""The figures: tidy tables in, matplotlib figures out. No file is read or written here.
 
 Tables hold one row a point, with the swept keys and the columns ``aae`` (radians) and ``aepe`` (pixels). A
 point whose error is not finite, because it failed or diverged, is a gap in its curve or a gray cell.
@@ -11,15 +11,14 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fracbench.errors import InputError, unknown_name
-from fracbench.report.flowcolor import checked_flow, color_wheel, fastest, flow_to_color, known_pixels
 from fracbench.report.style import (
     BEHIND,
     METRICS,
     MISSING,
     PALETTE,
+    SHADE,
     STAR,
     axis_label,
     equation,
@@ -27,7 +26,6 @@ from fracbench.report.style import (
     legend_below,
     method_lines,
     new_figure,
-    picture_grid,
     symbol,
     two_panels,
     write_below,
@@ -37,9 +35,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-Item = tuple[str, NDArray[Any]]
-"""A picture's title and its array."""
 
 MARKERS = ("o", "*", "x", "D", "^", "+")
 """The markers of the paper's figures 3 and 4, in the order of their captions."""
@@ -101,7 +96,7 @@ def alpha_curves(
         If a column is missing, the table is empty, two points of a curve share one `x`, `highlight` names no
         curve, or `x` holds a value that cannot be drawn.
     """
-    curves = _curves(table, x, hue, logx)
+    curves = split_curves(table, x, hue, logx)
     front = {value: part for value, part in curves.items() if highlight is None or value == highlight}
     if not front:
         raise unknown_name(f"`highlight`, a value of {hue!r},", str(highlight), map(str, curves))
@@ -111,7 +106,7 @@ def alpha_curves(
         for ax, metric in zip(axes, METRICS, strict=True):
             _start_axes(ax, x, metric, logx)
             if band is not None:
-                _draw_band(ax, band, x, metric, band_label)
+                draw_band(ax, band, x, metric, band_label)
             for i, part in enumerate(behind):
                 others = f"other {symbol(str(hue))}" if i == 0 else None
                 ax.plot(part[x], part[metric], color=BEHIND, linewidth=0.9, zorder=1.5, label=others)
@@ -123,7 +118,7 @@ def alpha_curves(
                 label = equation(hue, value) if hue else None
                 _draw_curve(ax, part, x, metric, look, label, name_minimum=len(front) == 1)
                 if zero_note:
-                    _ring_zero(ax, part, x, metric)
+                    ring_zero(ax, part, x, metric)
         legend_below(fig)
         if zero_note and any((part[x] == 0).any() for part in front.values()):
             fig.supxlabel(f"ringed: {symbol(x)} = 0, {zero_note}", fontsize=8.5)
@@ -138,7 +133,9 @@ def line_family(
     method_column: str | None = "method",
     title: str = "",
     markers: Sequence[str] = MARKERS,
+    styles: Sequence[str] = (),
     logx: bool = False,
+    shade: tuple[float, float] | None = None,
 ) -> Figure:
     """Draw both errors against one key, a line for each value of another and each method (figures 2-4).
 
@@ -156,8 +153,12 @@ def line_family(
         Heading of the figure.
     markers : sequence of str, optional
         matplotlib's markers in the order of the family's values; those of the captions by default.
+    styles : sequence of str, optional
+        For a single method, line and marker in the order of the family's values, e.g. ``"--*"`` or ``"-."``.
     logx : bool, optional
         Logarithmic axis.
+    shade : (float, float), optional
+        Range of `x` where the paper finds the errors smallest.
 
     Returns
     -------
@@ -172,29 +173,34 @@ def line_family(
     from matplotlib.lines import Line2D
 
     _need_columns(table, [family, *([method_column] if method_column else [])])
-    values = _values(table[family])
     methods = _values(table[method_column]) if method_column else []
     lines = method_lines(methods)
+    captions: list[tuple[Any, str]] = [*map(_caption_style, styles)] or [("", marker) for marker in markers]
     with house_style():
         fig, axes = two_panels(title)
         for ax, metric in zip(axes, METRICS, strict=True):
             _start_axes(ax, x, metric, logx)
-        handles = []
-        for i, value in enumerate(values):
-            marker = markers[i % len(markers)]
+        handles: list[Any] = []
+        for i, value in enumerate(_values(table[family])):
+            line, marker = captions[i % len(captions)]
             look: dict[str, Any] = {
                 "color": PALETTE[i % len(PALETTE)],
                 "marker": marker,
                 "markersize": _SMALL_MARKERS.get(marker, 5),
             }
-            handles.append(Line2D([], [], label=equation(family, value), **look))
+            handles.append(Line2D([], [], label=equation(family, value), linestyle=line or "-", **look))
             rows = table[table[family] == value]
-            for method, part in _curves(rows, x, method_column, logx).items():
-                style = lines[method][1] if method_column else "-"
+            for method, part in split_curves(rows, x, method_column, logx).items():
+                style = line or (lines[method][1] if method_column else "-")
                 for ax, metric in zip(axes, METRICS, strict=True):
                     ax.plot(part[x], part[metric], linestyle=style, **look)
-        handles += [Line2D([], [], label=name, linestyle=style, color="black") for name, style in lines.values()]
-        fig.legend(handles=handles, loc="outside right upper", handlelength=3.2)
+        if not styles:
+            handles += [
+                Line2D([], [], label=name, linestyle=style, color="black") for name, style in lines.values()
+            ]
+        if shade:
+            handles += [ax.axvspan(*shade, color=SHADE, zorder=0, label="best in the paper") for ax in axes][:1]
+        fig.legend(handles=handles, loc="outside right center", handlelength=3.2)
     return fig
 
 
@@ -235,91 +241,6 @@ def heat_map(
     return fig
 
 
-def flow_panel(items: Sequence[Item], *, columns: int = 3, max_motion: float | None = None) -> Figure:
-    """Show flow fields in the Middlebury colour code, all on one scale, beside its colour wheel.
-
-    Parameters
-    ----------
-    items : sequence of (str, numpy.ndarray)
-        Titles and (2, H, W) flows in pixels; unknown pixels are black.
-    columns : int, optional
-        Pictures in a row, at most.
-    max_motion : float, optional
-        Speed in pixels at the rim of the wheel; by default the largest known speed of all items.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        The pictures in rows, the wheel at their right.
-
-    Raises
-    ------
-    InputError
-        If there is no item, a flow is not (2, H, W), or `max_motion` is not positive.
-    """
-    flows = [checked_flow(flow) for _, flow in items]
-    rim = max_motion if max_motion is not None else max(map(fastest, flows), default=0.0) or 1.0
-    with house_style():
-        fig, axes, side = picture_grid([flow.shape[1:] for flow in flows], columns)
-        for ax, (title, _), flow in zip(axes, items, flows, strict=True):
-            ax.imshow(flow_to_color(flow, rim))
-            ax.set_title(title)
-        side.imshow(color_wheel(256))
-        dark = "" if all(known_pixels(flow).all() for flow in flows) else "\nblack: unknown"
-        side.set_anchor("N")
-        side.text(
-            0.5,
-            -0.08,
-            f"rim: {rim:.3g} px{dark}",
-            ha="center",
-            va="top",
-            fontsize=8.5,
-            transform=side.transAxes,
-        )
-    return fig
-
-
-def error_maps(items: Sequence[Item], vmax: float | None = None, *, columns: int = 3) -> Figure:
-    """Show maps of the endpoint error, all on one colour scale.
-
-    Parameters
-    ----------
-    items : sequence of (str, numpy.ndarray)
-        Titles and (H, W) endpoint errors in pixels; NaN, where the truth is unknown, is gray.
-    vmax : float, optional
-        Error in pixels at the top of the scale; by default the 99th percentile of all finite errors.
-    columns : int, optional
-        Pictures in a row, at most.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        The maps in rows, the colour bar at their right.
-
-    Raises
-    ------
-    InputError
-        If there is no item, a map is not (H, W), or `vmax` is not positive.
-    """
-    import matplotlib
-
-    maps = [_error_map(title, error) for title, error in items]
-    known = np.concatenate([m[np.isfinite(m)] for m in maps]) if maps else np.empty(0)
-    top = vmax if vmax is not None else (float(np.percentile(known, 99)) if known.size else 0.0) or 1.0
-    if not (math.isfinite(top) and top > 0):
-        raise InputError(f"error_maps: `vmax` must be a positive number of pixels, got {vmax}")
-    cmap = matplotlib.colormaps["inferno"].with_extremes(bad=MISSING)
-    with house_style():
-        fig, axes, side = picture_grid([m.shape for m in maps], columns)
-        for ax, (title, _), error in zip(axes, items, maps, strict=True):
-            image = ax.imshow(error, cmap=cmap, vmin=0.0, vmax=top)
-            ax.set_title(title)
-        bar = side.inset_axes((0.05, 0.0, 0.2, 1.0))
-        above = "max" if (known > top).any() else "neither"
-        fig.colorbar(image, cax=bar, extend=above, label="endpoint error [px]")
-    return fig
-
-
 def _need_columns(table: pd.DataFrame, columns: Sequence[str]) -> None:
     for column in columns:
         if column not in table.columns:
@@ -334,7 +255,7 @@ def _values(column: pd.Series) -> list[Any]:
     return sorted(distinct) if column.dtype.kind in "iuf" else distinct
 
 
-def _curves(table: pd.DataFrame, x: str, hue: str | None, logx: bool) -> dict[Any, pd.DataFrame]:
+def split_curves(table: pd.DataFrame, x: str, hue: str | None, logx: bool) -> dict[Any, pd.DataFrame]:
     """Split a table into curves by `hue`, sorted by `x`, with NaN for errors that are not finite."""
     _need_columns(table, [x, *METRICS, *([hue] if hue else [])])
     try:
@@ -355,10 +276,13 @@ def _curves(table: pd.DataFrame, x: str, hue: str | None, logx: bool) -> dict[An
 
 def _start_axes(ax: Axes, x: str, metric: str, logx: bool) -> None:
     ax.set(xlabel=axis_label(x), ylabel=METRICS[metric], xscale="log" if logx else "linear")
+    if logx:
+        ax.xaxis.set_major_formatter("{x:g}")
     ax.margins(x=0.04, y=0.1)
 
 
-def _draw_band(ax: Axes, band: pd.DataFrame, x: str, metric: str, label: str) -> None:
+def draw_band(ax: Axes, band: pd.DataFrame, x: str, metric: str, label: str) -> None:
+    """Fill the range between the columns ``METRIC_low`` and ``METRIC_high``."""
     low, high = f"{metric}_low", f"{metric}_high"
     _need_columns(band, [x, low, high])
     band = band.sort_values(x)
@@ -388,7 +312,8 @@ def _draw_curve(
         line.set_label(f"{label}: {text}")
 
 
-def _ring_zero(ax: Axes, part: pd.DataFrame, x: str, metric: str) -> None:
+def ring_zero(ax: Axes, part: pd.DataFrame, x: str, metric: str) -> None:
+    """Ring the point at 0 of a curve, if it has one."""
     zero = part[part[x] == 0]
     ax.plot(
         zero[x],
@@ -425,8 +350,7 @@ def _draw_cells(ax: Axes, cells: pd.DataFrame, metric: str) -> None:
     ax.set_title(f"min at {equation(x, cells.columns[column])}, {equation(y, cells.index[row])}")
 
 
-def _error_map(title: str, error: NDArray[Any]) -> NDArray[np.float64]:
-    values = np.asarray(error, dtype=np.float64)
-    if values.ndim != 2:
-        raise InputError(f"error_maps: {title!r} must have shape (H, W), got {values.shape}")
-    return values
+def _caption_style(style: str) -> tuple[Any, str]:
+    """Take ``"--*"`` apart into line and marker."""
+    line = next((line for line in ("--", "-.", ":", "-") if style.startswith(line)), "")
+    return line, style.removeprefix(line) or "None"

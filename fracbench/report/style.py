@@ -54,6 +54,9 @@ _OTHER_LINES: tuple[Any, ...] = (":", (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)), (0, 
 BEHIND = "#BDBDBD"
 """Colour of lines that are there for comparison only."""
 
+SHADE = "#EDEDED"
+"""Colour of a range that is pointed out."""
+
 MISSING = "#9E9E9E"
 """Colour of cells and pixels without a value."""
 
@@ -166,8 +169,9 @@ def two_panels(title: str = "") -> tuple[Figure, list[Axes]]:
 
 def write_below(ax: Axes, x: float, y: float, text: str) -> None:
     """Write under a point, inside the panel: under a minimum there is no curve."""
-    low, high = ax.get_ylim()
-    ax.set_ylim(low - 0.1 * (high - low), high)
+    scale = ax.yaxis.get_transform()
+    low, high = scale.transform(ax.get_ylim())
+    ax.set_ylim(bottom=float(scale.inverted().transform(low - 0.1 * (high - low))))
     across = ax.transAxes.inverted().transform(ax.transData.transform((x, y)))[0]
     side = "left" if across < 0.2 else "right" if across > 0.8 else "center"
     paper = {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.8}

@@ -31,7 +31,7 @@ def by_alpha(made, report):
 
 
 def replace_point(monkeypatch, instead):
-    """Let workers call ``instead(point, compute)`` for each point; `compute` is the real computation.
+    """Let workers call ``instead(point, finish)`` for each point; `finish` gives a made-up outcome.
 
     The functions reach the workers by value: they see what is enclosed here, and no other change made in
     this process.
@@ -43,9 +43,12 @@ def replace_point(monkeypatch, instead):
 
         from fracbench.harness import execute, task
 
+        def finish(status="done", error=None):
+            return task.Outcome(status, error, {}, 1.0, None, {"host": "h"})
+
         assert os.getpid() != parent, "a point was computed in the parent's own process"
         real = task.run_point
-        task.run_point = lambda point, folder: instead(point, lambda: real(point, folder))
+        task.run_point = lambda point, folder: instead(point, finish)
         try:
             return execute._marked(key, point, folder, started)
         finally:
@@ -101,8 +104,9 @@ def test_what_is_missing_is_told_before_it_is_computed(store):
     assert (todo, report.reused) == ({}, 2)
 
 
-def test_rows_are_stored_as_they_come(store, tmp_path):
+def test_rows_are_stored_as_they_come(store, tmp_path, monkeypatch):
     """Whatever stops the sweep later."""
+    replace_point(monkeypatch, lambda point, finish: finish())
     made = plan("alpha=0,1,2")
 
     def stop(row):
@@ -155,13 +159,8 @@ def test_changed_data_are_a_reason(store, fake_rows):
 
 
 def test_a_point_that_fails_is_a_row_and_the_others_go_on(store, monkeypatch):
-    def instead(point, compute):
-        if point.params["alpha"] == "1":
-            from fracbench.errors import InputError
-            from fracbench.harness.task import Outcome
-
-            return Outcome("failed", str(InputError("made to fail")), {}, None, None, {"host": "h"})
-        return compute()
+    def instead(point, finish):
+        return finish("failed", "made to fail") if point.params["alpha"] == "1" else finish()
 
     replace_point(monkeypatch, instead)
     made = plan("alpha=0:2:0.5")
@@ -195,7 +194,7 @@ def test_a_worker_that_dies_costs_its_point_one_retry_alone(store, monkeypatch, 
     log = tmp_path / "log"
     log.touch()
 
-    def instead(point, compute):
+    def instead(point, finish):
         import os
         import time
 
@@ -216,9 +215,8 @@ def test_a_worker_that_dies_costs_its_point_one_retry_alone(store, monkeypatch, 
             os._exit(9)
         if alpha == "1" and first_time:
             time.sleep(600)
-        outcome = compute()
         say("end")
-        return outcome
+        return finish()
 
     replace_point(monkeypatch, instead)
     made = plan("alpha=0,1,0.5,1.5,2")
@@ -238,7 +236,7 @@ def test_a_worker_that_dies_costs_its_point_one_retry_alone(store, monkeypatch, 
     assert {retry_of_0, retry_of_1} == {2, 3}
     assert events[retry_of_1 + 1] == ["end", "1"]
     # ... and the sweep can be run again.
-    monkeypatch.undo()
+    replace_point(monkeypatch, lambda point, finish: finish())
     report = execute.run(made, store, jobs=2, rerun_failed=True)
     assert (report.computed, report.failed, dict(report.reasons)) == (1, [], {"crashed before": 1})
 
@@ -246,12 +244,12 @@ def test_a_worker_that_dies_costs_its_point_one_retry_alone(store, monkeypatch, 
 def test_one_worker_may_die_as_well(store, monkeypatch):
     """With one job, too, points are computed in another process than this one."""
 
-    def instead(point, compute):
+    def instead(point, finish):
         import os
 
         if point.params["alpha"] == "1":
             os._exit(9)
-        return compute()
+        return finish()
 
     replace_point(monkeypatch, instead)
     made = plan("alpha=0,1,2")
@@ -266,14 +264,14 @@ def test_one_worker_may_die_as_well(store, monkeypatch):
 def test_one_job_means_one_point_at_a_time(store, monkeypatch, tmp_path):
     log = tmp_path / "log"
 
-    def instead(point, compute):
+    def instead(point, finish):
         import time
 
         for what in ("start", "end"):
             with log.open("a") as file:
                 file.write(f"{what} {point.params['alpha']}\n")
             time.sleep(0.05)
-        return compute()
+        return finish()
 
     replace_point(monkeypatch, instead)
     execute.run(plan("alpha=0,0.5,1,1.5"), store, jobs=1)

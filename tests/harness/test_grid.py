@@ -376,3 +376,47 @@ def test_anything_either_parses_or_is_refused_in_one_line(given_tokens: list[str
 def test_reading_overrides_imports_neither_numpy_nor_hydra() -> None:
     code = "import sys, fracbench.harness.grid; sys.exit(bool({'numpy', 'hydra'} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+# --- thinned ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("token", "kept"),
+    [
+        ("alpha=0:2:0.1", ["0", "1", "2"]),
+        ("lambda_sb=1:10:1", ["1", "5", "10"]),
+        ("shift=0:24:1", ["0", "12", "24"]),
+        ("theta=0.05,0.1:1:0.1", ["0.05", "0.5", "1"]),
+        ("alpha=0,1,2", ["0", "1", "2"]),
+        ("alpha=0,2", ["0", "2"]),
+        ("region=a,b,c", ["a", "b"]),
+        ("sequence=a,b,c,d", ["a", "b"]),
+        ("protocol=reference,published,as_printed,recommended", None),
+        ("n_scales=auto,3,4,5", None),
+    ],
+)
+def test_a_thinned_axis_keeps_its_ends_and_its_middle(token: str, kept: list[str] | None) -> None:
+    (axis,) = parse_overrides([token]).thinned().axes
+    whole = parse_overrides([token]).axes[0]
+    assert axis == (whole if kept is None else Axis(whole.keys, tuple((value,) for value in kept)))
+
+
+def test_a_thinned_grid_has_the_same_axes_and_zipped_keys_stay_together() -> None:
+    grid = parse_overrides(["alpha=0:2:0.5", "zip(lambda,theta)=(1,5),(2,6),(3,7),(4,8),(5,9)", "method=tvl1"])
+    thin = grid.thinned()
+    assert [axis.keys for axis in thin.axes] == [axis.keys for axis in grid.axes]
+    assert thin.axes[1].values == (("1", "5"), ("3", "7"), ("5", "9"))
+    assert thin.size == 9
+
+
+@lawful
+@given(st.integers(1, 40), st.integers(2, 6))
+def test_thinning_keeps_at_most_n_distinct_values_in_order_with_both_ends(length: int, n: int) -> None:
+    values = tuple((str(k),) for k in range(length))
+    (axis,) = Grid((Axis(("alpha",), values),)).thinned(n).axes
+    kept = [int(value) for (value,) in axis.values]
+    assert len(kept) == min(n, length) and kept == sorted(set(kept))
+    assert (kept[0], kept[-1]) == (0, length - 1)
+    gaps = {b - a for a, b in itertools.pairwise(kept)}
+    assert not gaps or max(gaps) - min(gaps) <= 1

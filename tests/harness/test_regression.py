@@ -267,6 +267,12 @@ def test_a_table_stored_again_is_the_same_bytes(reference):
     assert first.endswith(b"\n") and b"\r" not in first
 
 
+def test_stored_numbers_have_nine_digits(reference, made_up):
+    made_up["aepe"] = 2 / 3
+    store_table()
+    assert set(pd.read_csv(reference / "mini.csv", dtype=str)["aepe"]) == {"0.666666667"}
+
+
 def test_an_update_records_why(reference, made_up):
     store_table(reason="first")
     made_up["aepe"] = 0.25

@@ -10,7 +10,7 @@ import pytest
 
 from fracbench.errors import InputError
 from fracbench.harness.experiment import Experiment, load_experiment
-from fracbench.harness.plan import make_plan
+from fracbench.harness.plan import make_plan, plan_experiment
 from fracbench.report import artefacts, figures, style, tables
 from fracbench.report.artefacts import best_values, file_stem, render, require_renderer, split_varying
 from fracbench.report.tables import tidy
@@ -33,7 +33,7 @@ def files(folder: Path) -> list[str]:
 
 
 def sweep(*tokens, name="s", title="A sweep"):
-    return Experiment(name, title, "sweep", tokens)
+    return Experiment(name, title, "sweep", {"main": tokens})
 
 
 @pytest.fixture
@@ -268,12 +268,18 @@ def test_stand_ins_are_in_the_name_and_scenes_asked_for_are_not(tmp_path, tokens
     assert file_stem("s", plan(*tokens), tmp_path) == tmp_path / stem
 
 
+def test_a_thinned_grid_is_in_the_name(tmp_path):
+    made = make_plan(["sequence=grove2", "alpha=0:2:0.1", "dataset=synthetic"], small=True)
+    assert file_stem("s", made, tmp_path) == tmp_path / "s_synthetic_small"
+    assert file_stem("s", make_plan([FLAT], small=True), tmp_path) == tmp_path / "s_small"
+
+
 # -- table 2 -------------------------------------------------------------------------------------
 
 
 def test_table_2_is_written_three_ways_for_every_protocol(tmp_path, fake_rows):
     experiment = load_experiment("table2")
-    made = plan(*experiment.grid, "dataset=synthetic")
+    made = plan_experiment(experiment.grids, ["dataset=synthetic"])
     artefact = render(experiment, made, fake_rows(made), tmp_path)
     assert files(tmp_path) == [f"tables/table2_synthetic.{suffix}" for suffix in ("csv", "md", "tex")]
     assert len(pd.read_csv(tmp_path / "tables/table2_synthetic.csv")) == 3 * 8 * 2 * 3
@@ -293,7 +299,7 @@ def test_table_2_is_written_three_ways_for_every_protocol(tmp_path, fake_rows):
 
 
 def test_an_unknown_artefact_offers_the_nearest(tmp_path, fake_rows):
-    experiment = Experiment("mine", "t", "sweeep", ())
+    experiment = Experiment("mine", "t", "sweeep", {})
     with pytest.raises(InputError, match="experiment mine: unknown artefact 'sweeep': did you mean 'sweep'"):
         require_renderer(experiment)
     made = plan("alpha=1", FLAT)
@@ -321,7 +327,7 @@ def test_a_sweep_that_cannot_be_drawn_leaves_no_file(tmp_path, fake_rows, monkey
 @pytest.mark.parametrize("name", ["to_markdown", "to_latex", "summary", "footnote"])
 def test_a_table_that_cannot_be_laid_out_leaves_no_file(tmp_path, fake_rows, monkeypatch, name):
     experiment = load_experiment("table2")
-    made = plan(*experiment.grid, "dataset=synthetic")
+    made = plan_experiment(experiment.grids, ["dataset=synthetic"])
     monkeypatch.setattr(tables, name, fails)
     with pytest.raises(RuntimeError, match="no ink"):
         render(experiment, made, fake_rows(made), tmp_path)

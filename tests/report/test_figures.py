@@ -17,8 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from fracbench.errors import InputError
-from fracbench.report.figures import MARKERS, alpha_curves, error_maps, flow_panel, heat_map, line_family
-from fracbench.report.flowcolor import flow_to_color
+from fracbench.report.figures import MARKERS, alpha_curves, heat_map, line_family
 from fracbench.report.style import DPI, PALETTE, WIDTH, house_style, new_figure, render, save_figure
 
 ALPHA = np.round(np.arange(0.0, 2.01, 0.2), 10)
@@ -228,6 +227,33 @@ def test_methods_the_paper_lacks_get_styles_of_their_own() -> None:
     ]
 
 
+def test_a_captions_styles_replace_markers_and_the_methods_line() -> None:
+    values = (0.03, 0.05, 0.1, 0.3, 0.5, 1.0)
+    styles = ["--*", "--o", "--x", "--", "-", "-."]
+    fig = line_family(family_table(values, ("tvl1_sb",)), x="theta", family="lambda", styles=styles)
+    for ax in fig.axes:
+        drawn = [(line.get_linestyle(), line.get_marker()) for line in ax.lines]
+        assert drawn == [("--", "*"), ("--", "o"), ("--", "x"), ("--", "None"), ("-", "None"), ("-.", "None")]
+    assert [text.get_text() for text in fig.legends[0].get_texts()] == [rf"$\lambda$ = {v:g}" for v in values]
+
+
+def test_the_papers_range_is_shaded_behind_the_lines() -> None:
+    table = family_table((0.1, 0.2), ("tvl1_sb",)).assign(theta=lambda t: t.theta + 0.1)
+    fig = line_family(table, x="theta", family="lambda", shade=(0.5, 1.5), logx=True)
+    for ax in fig.axes:
+        (span,) = ax.patches
+        assert (span.get_x(), span.get_x() + span.get_width()) == pytest.approx((0.5, 1.5))
+        assert span.get_zorder() < min(line.get_zorder() for line in ax.lines)
+    assert [text.get_text() for text in fig.legends[0].get_texts()].count("best in the paper") == 1
+
+
+def test_a_logarithmic_axis_has_plain_numbers() -> None:
+    table = family_table((0.1,), ("tvl1_sb",)).assign(theta=lambda t: 10.0 ** (t.theta - 1))
+    fig = line_family(table, x="theta", family="lambda", logx=True)
+    fig.draw_without_rendering()
+    assert {"0.1", "1", "10"} <= {label.get_text() for label in fig.axes[0].get_xticklabels()}
+
+
 def test_family_keeps_gaps_and_refuses_doubles() -> None:
     table = family_table((0.1, 0.2), ("tvl1",)).reset_index(drop=True)
     table.loc[3, "aepe"] = np.nan
@@ -292,81 +318,6 @@ def test_heat_map_without_a_finite_error_says_so() -> None:
 def test_heat_map_refuses_two_rows_for_one_cell() -> None:
     with pytest.raises(InputError, match=r"several rows share one \(alpha, lambda_sb\)"):
         heat_map(pd.concat([grid_table()] * 2), x="alpha", y="lambda_sb")
-
-
-# --- pictures ---
-
-
-def flow_of(speed: float) -> np.ndarray:
-    flow = np.zeros((2, 6, 8))
-    flow[0] = speed
-    return flow
-
-
-def test_flow_panel_puts_all_items_on_one_scale() -> None:
-    fig = flow_panel([("slow", flow_of(1.0)), ("fast", flow_of(4.0))])
-    slow, fast, wheel = fig.axes
-    np.testing.assert_array_equal(slow.images[0].get_array(), flow_to_color(flow_of(1.0), 4.0))
-    assert (np.asarray(fast.images[0].get_array()) == (255, 0, 0)).all()
-    assert [slow.get_title(), fast.get_title()] == ["slow", "fast"]
-    assert texts(wheel) == ["rim: 4 px"] and len(wheel.images) == 1
-
-
-def test_flow_panel_takes_a_scale_and_tells_of_unknown_pixels() -> None:
-    flow = flow_of(1.0)
-    flow[:, 0, 0] = np.nan
-    fig = flow_panel([("a", flow)], max_motion=2.0)
-    assert texts(fig.axes[-1]) == ["rim: 2 px\nblack: unknown"]
-    np.testing.assert_array_equal(fig.axes[0].images[0].get_array(), flow_to_color(flow, 2.0))
-
-
-def test_flow_panel_without_motion_has_a_scale_all_the_same() -> None:
-    assert texts(flow_panel([("still", flow_of(0.0))]).axes[-1]) == ["rim: 1 px"]
-
-
-def test_pictures_break_into_rows() -> None:
-    fig = flow_panel([(str(i), flow_of(1.0)) for i in range(5)], columns=2)
-    with house_style():
-        fig.draw_without_rendering()
-    tops = [round(ax.get_position().y1, 3) for ax in fig.axes[:-1]]
-    assert len(set(tops)) == 3 and tops[0] == tops[1] > tops[2] == tops[3] > tops[4]
-
-
-def test_error_maps_share_one_scale_with_a_bar_in_pixels() -> None:
-    near, far = np.full((5, 6), 0.5), np.full((5, 6), 2.0)
-    near[0, 0] = np.nan
-    fig = error_maps([("near", near), ("far", far)], vmax=1.5)
-    first, second = fig.axes[:2]
-    assert first.images[0].get_clim() == second.images[0].get_clim() == (0.0, 1.5)
-    (side,) = (ax for ax in fig.axes if ax.child_axes)
-    (bar,) = side.child_axes
-    assert bar.get_ylabel() == "endpoint error [px]"
-    assert bar._colorbar.extend == "max"  # type: ignore[attr-defined]
-    assert np.ma.getmaskarray(first.images[0].get_array())[0, 0]
-
-
-def test_error_maps_choose_a_scale_that_a_few_outliers_do_not_set() -> None:
-    error = np.full((50, 50), 0.5)
-    error[0, 0] = 1000.0
-    assert error_maps([("a", error)]).axes[0].images[0].get_clim() == (0.0, 0.5)
-    assert error_maps([("exact", np.zeros((3, 3)))]).axes[0].images[0].get_clim() == (0.0, 1.0)
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: flow_panel([]), "needs pictures"),
-        (lambda: error_maps([]), "needs pictures"),
-        (lambda: flow_panel([("a", flow_of(1.0))], columns=0), "in 0 columns"),
-        (lambda: flow_panel([("a", np.zeros((3, 3)))]), r"must have shape \(2, H, W\)"),
-        (lambda: error_maps([("map b", np.zeros((2, 3, 3)))]), r"'map b' must have shape \(H, W\)"),
-        (lambda: error_maps([("a", np.zeros((3, 3)))], vmax=-1.0), "`vmax` must be a positive number"),
-        (lambda: flow_panel([("a", flow_of(1.0))], max_motion=0.0), "`max_motion` must be a positive"),
-    ],
-)
-def test_unusable_pictures_are_named(make: object, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        make()  # type: ignore[operator]
 
 
 # --- style and files ---

@@ -1,0 +1,134 @@
+"""What the report is made from: the stored rows of every experiment, planned and read once, never computed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fracbench.harness.experiment import Experiment, list_experiments, load_experiment
+from fracbench.harness.plan import Plan, plan_experiment
+from fracbench.harness.store import Row, Store
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+#: Where the store and what is computed for pictures are, below the results folder.
+RUNS = "runs"
+#: What the names of files end with, by data set and size; see `fracbench.report.base.file_stem`.
+SUFFIXES = ("", "_synthetic", "_small", "_synthetic_small")
+
+
+@dataclass(frozen=True)
+class Source:
+    """An experiment with the rows that the store holds of it.
+
+    Attributes
+    ----------
+    experiment : Experiment
+        What was asked for.
+    plan : Plan
+        Its points.
+    rows : mapping of str to Row
+        Stored rows by key.
+    command : str
+        What computes the missing ones.
+    """
+
+    experiment: Experiment
+    plan: Plan
+    rows: Mapping[str, Row]
+    command: str
+
+    @cached_property
+    def table(self) -> pd.DataFrame:
+        """One row a planned point; see `fracbench.report.tables.tidy`."""
+        from fracbench.report.tables import tidy
+
+        return tidy(self.plan, self.rows)
+
+    @property
+    def suffix(self) -> str:
+        """What the names of its artefact's files end with."""
+        return SUFFIXES[self.plan.stand_in + 2 * self.plan.small]
+
+    @property
+    def n_points(self) -> int:
+        """Number of distinct points."""
+        return len(self.plan.unique())
+
+    @property
+    def n_missing(self) -> int:
+        """Number of points that were never run."""
+        return self.n_points - len(self.rows)
+
+    @property
+    def unfinished(self) -> list[Row]:
+        """Rows of points that failed or diverged."""
+        return [row for row in self.rows.values() if row.status != "done"]
+
+
+class Sources:
+    """The experiments of the project and of the working folder.
+
+    Parameters
+    ----------
+    results : Path
+        The results folder.
+    settings : sequence of str, optional
+        Overrides for all grids: data set, paths.
+    small : bool, optional
+        Whether grids are thinned.
+
+    Attributes
+    ----------
+    stand_in : bool
+        Whether scenes take the place of Middlebury sequences.
+    suffix : str
+        What the page's name ends with.
+
+    Raises
+    ------
+    InputError
+        A store or data that cannot be read.
+    """
+
+    def __init__(self, results: Path, settings: Sequence[str] = (), small: bool = False) -> None:
+        self.results = results
+        self.settings = tuple(settings)
+        self.small = small
+        data = plan_experiment({}, self.settings, allow_download=False, small=small)
+        self.stand_in = data.stand_in
+        self.suffix = SUFFIXES[data.stand_in + 2 * data.small]
+        self._found: dict[str, Source | None] = {}
+
+    def get(self, name: str) -> Source | None:
+        """Return an experiment with its rows, or None if there is no experiment of that name."""
+        if name not in self._found:
+            self._found[name] = self._read(name) if name in list_experiments() else None
+        return self._found[name]
+
+    def load(self, name: str) -> pd.DataFrame | None:
+        """Return an experiment's tidy table, or None if nothing of it is stored."""
+        source = self.get(name)
+        return source.table if source is not None and source.rows else None
+
+    def command(self, name: str) -> str:
+        """Return the command that computes an experiment."""
+        kind, number = next(
+            ((word, name.removeprefix(start)) for start, word in _NUMBERED if name.startswith(start)), ("", "")
+        )
+        words = [kind, number] if number.isdigit() else ["experiment", name]
+        return " ".join(["fracbench", *words, *self.settings, *(["--small"] if self.small else [])])
+
+    def _read(self, name: str) -> Source:
+        experiment = load_experiment(name)
+        plan = plan_experiment(experiment.grids, self.settings, allow_download=False, small=self.small)
+        with Store(self.results / RUNS / "store.sqlite", readonly=True) as store:
+            rows = store.get_many(plan.unique())
+        return Source(experiment, plan, rows, self.command(name))
+
+
+_NUMBERED = (("table", "table"), ("fig", "figure"))

@@ -1,0 +1,159 @@
+"""What is distributed: a wheel that works without the checkout, under one version and one command."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import fracbench
+from fracbench import cli
+from fracbench.errors import InputError
+from fracbench.harness import assets
+from fracbench.harness.assets import asset, checkout
+
+ROOT = Path(fracbench.__file__).parents[1]
+ASSETS = ("conf", "docs", "experiments", "results/published", "results/reference", "results/claims.yaml")
+
+
+@pytest.fixture(scope="module")
+def project() -> dict:
+    if checkout() is None:
+        pytest.skip("the package is installed: there is no checkout to build from")
+    return tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def wheel(project, tmp_path_factory) -> Path:
+    """A wheel, built from a copy: a build must not write into the checkout."""
+    hatchling = pytest.importorskip("hatchling.builders.wheel", reason="hatchling, the build backend, is missing")
+    source = tmp_path_factory.mktemp("source")
+    for name in ("pyproject.toml", "LICENSE", "README.md"):
+        shutil.copy(ROOT / name, source)
+    ignored = shutil.ignore_patterns("__pycache__")
+    for name in ("fracbench", *ASSETS):
+        if (ROOT / name).is_dir():
+            shutil.copytree(ROOT / name, source / name, ignore=ignored)
+        else:
+            shutil.copy(ROOT / name, source / name)
+    target = tmp_path_factory.mktemp("wheel")
+    (built,) = hatchling.WheelBuilder(str(source)).build(directory=str(target), versions=["standard"])
+    return Path(built)
+
+
+def metadata(wheel: Path, name: str) -> str:
+    with zipfile.ZipFile(wheel) as archive:
+        return archive.read(f"fracbench-{fracbench.__version__}.dist-info/{name}").decode()
+
+
+def test_the_wheel_holds_every_module_and_every_asset(wheel):
+    with zipfile.ZipFile(wheel) as archive:
+        held = set(archive.namelist())
+    modules = {str(path.relative_to(ROOT)) for path in (ROOT / "fracbench").rglob("*.py")}
+    assert modules <= held
+    for name in ASSETS:
+        paths = [path for path in (ROOT / name, *(ROOT / name).rglob("*")) if path.is_file()]
+        files = {f"fracbench/_assets/{path.relative_to(ROOT)}" for path in paths}
+        assert files and files <= held
+    assert "fracbench/_assets/conf/config.yaml" in held
+    assert "fracbench/_assets/results/published/table2.csv" in held
+    outside = {name for name in held if not name.startswith(("fracbench/", f"fracbench-{fracbench.__version__}"))}
+    assert outside == set()
+    assert not any(name.startswith("fracbench/_assets/results/runs") for name in held)
+
+
+def test_the_wheel_holds_whatever_the_package_asks_for(wheel):
+    """Every ``asset("...")`` of the source, and every file beside the modules."""
+    asked = set()
+    for path in (ROOT / "fracbench").rglob("*.py"):
+        asked |= set(re.findall(r"""\basset\(f?"([^"{]+)""", path.read_text(encoding="utf-8")))
+    assert {"conf", "experiments", "results/reference"} <= {word.rstrip("/") for word in asked}
+    with zipfile.ZipFile(wheel) as archive:
+        held = archive.namelist()
+    for word in asked:
+        assert any(name.startswith(f"fracbench/_assets/{word}") for name in held), word
+    beside = [
+        path for path in (ROOT / "fracbench").rglob("*") if path.is_file() and "__pycache__" not in path.parts
+    ]
+    assert {str(path.relative_to(ROOT)) for path in beside} <= {*held}
+
+
+def test_the_wheel_works_without_the_checkout(wheel, tmp_path):
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(tmp_path / "site")
+    (tmp_path / "elsewhere").mkdir()
+    command = ["-m", "fracbench", "sweep", "alpha=0:2:0.1", "sequence=synthetic_flat", "--dry-run"]
+    code = (
+        f"import sys\nsys.path.insert(0, {str(tmp_path / 'site')!r})\n"
+        "import fracbench\nfrom fracbench.cli import main\n"
+        f"code = main({command[2:]!r})\nprint(fracbench.__file__, file=sys.stderr)\nsys.exit(code)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-I", "-c", code], cwd=tmp_path / "elsewhere", capture_output=True, text=True
+    )
+    assert done.stderr == f"{tmp_path / 'site' / 'fracbench' / '__init__.py'}\n"
+    assert done.returncode == 0
+    assert done.stdout.startswith("21 points, 0 stored, 21 to compute")
+
+
+def test_there_is_one_version(project, wheel):
+    assert re.fullmatch(r"\d+\.\d+\.\d+", fracbench.__version__)
+    assert "version" in project["project"]["dynamic"] and "version" not in project["project"]
+    assert project["tool"]["hatch"]["version"]["path"] == "fracbench/__init__.py"
+    assert wheel.name == f"fracbench-{fracbench.__version__}-py3-none-any.whl"
+    assert f"\nVersion: {fracbench.__version__}\n" in metadata(wheel, "METADATA")
+    assert (ROOT / "CITATION.cff").read_text().count(f"version: {fracbench.__version__}") == 1
+
+
+def test_the_console_script_is_the_command_line(project, wheel):
+    assert project["project"]["scripts"] == {"fracbench": "fracbench.cli:console_entry"}
+    assert "fracbench = fracbench.cli:console_entry" in metadata(wheel, "entry_points.txt")
+    assert callable(cli.console_entry)
+
+
+def test_the_console_script_leaves_with_the_exit_code(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["fracbench", "swep"])
+    with pytest.raises(SystemExit) as left:
+        cli.console_entry()
+    assert left.value.code == 2
+    assert "did you mean 'sweep'" in capsys.readouterr().err
+
+
+def test_every_import_is_declared(project):
+    """What the package imports is the standard library, itself, or one of its dependencies or extras."""
+    names = {"hydra": "hydra-core", "omegaconf": "hydra-core", "PIL": "pillow", "png": "pypng", "yaml": "pyyaml"}
+    names |= {"cv2": "opencv-contrib-python-headless", "skimage": "scikit-image", "markdown_it": "markdown-it-py"}
+    extras = project["project"]["optional-dependencies"]
+    wanted = [*project["project"]["dependencies"], *(word for group in extras.values() for word in group)]
+    declared = {re.split(r"[<>=!~\[; ]", word)[0].lower() for word in wanted}
+    imported = set()
+    for path in (ROOT / "fracbench").rglob("*.py"):
+        imported |= set(re.findall(r"^\s*(?:import|from) +([A-Za-z_]\w*)", path.read_text(), re.MULTILINE))
+    others = {name for name in imported if name not in sys.stdlib_module_names and name != "fracbench"}
+    assert {"numpy", "hydra"} <= others
+    assert {names.get(name, name).lower() for name in others} <= declared
+
+
+# -- assets --------------------------------------------------------------------------------------
+
+
+def test_assets_of_a_checkout_are_at_its_top(project):
+    assert checkout() == ROOT
+    assert asset("conf/config.yaml") == ROOT / "conf" / "config.yaml"
+
+
+def test_assets_of_an_installation_are_inside_the_package(tmp_path, monkeypatch):
+    package = tmp_path / "site-packages" / "fracbench"
+    (package / "_assets" / "conf").mkdir(parents=True)
+    (package.parent / "conf").mkdir()  # somebody else's
+    monkeypatch.setattr(assets, "_PACKAGE", package)
+    assert asset("conf") == package / "_assets" / "conf"
+    assert checkout() is None
+    with pytest.raises(InputError, match="experiments: not found; the installation is incomplete"):
+        asset("experiments")

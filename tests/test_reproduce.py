@@ -1,0 +1,85 @@
+"""The whole paper in one command, on experiments small enough to be run here."""
+
+from __future__ import annotations
+
+import pytest
+
+from fracbench import reproduce
+from fracbench.harness import execute
+from fracbench.report import html
+
+TINY = "n_scales=1, n_warps=1, max_iter=1, sequence=synthetic_flat"
+
+
+@pytest.fixture
+def paper(work, monkeypatch):
+    """A paper of two experiments, of which the second needs a point of the first, and one yet to be written."""
+    folder = work / "experiments"
+    folder.mkdir()
+    (folder / "one.yaml").write_text(f"grid: [{TINY}, 'alpha=0,1,1.5,2']\n")
+    (folder / "two.yaml").write_text(f"grids:\n  a: [{TINY}, 'alpha=1']\n  b: [{TINY}, 'theta=0.1,0.2']\n")
+    monkeypatch.setattr(reproduce, "PAPER", ("one", "none", "two"))
+    monkeypatch.setattr(html, "write_report", lambda results, settings, small: results / "page.html")
+    return work
+
+
+def test_what_is_missing_is_computed_once_and_said_in_a_line_each(paper, cli):
+    done = cli("report", "dataset=synthetic", "paths.results=out")
+    assert (done.code, done.out.splitlines()) == (
+        0,
+        ["one: 4 points, 4 computed, wrote 3 files in out/sweeps",
+         "two: 3 points, 2 computed, wrote 3 files in out/sweeps", "wrote out/page.html"],
+    )  # fmt: skip
+    assert (paper / "out/sweeps/one.csv").is_file()
+    again = cli("report", "dataset=synthetic", "paths.results=out")
+    assert [line.split(", ")[1] for line in again.out.splitlines()[:2]] == ["0 computed", "0 computed"]
+
+
+def test_a_small_paper_is_thinned_and_overwrites_nothing(paper, cli):
+    done = cli("report", "--small", "--jobs", "1", "dataset=synthetic")
+    assert done.out.startswith("one: 3 points, 3 computed")
+    assert (paper / "results/sweeps/one_small.csv").is_file()
+    assert not (paper / "results/sweeps/one.csv").exists()
+    single = cli("experiment", "one", "--small", "--dry-run", "dataset=synthetic")
+    assert single.out.startswith("3 points, 3 stored")
+
+
+def test_points_that_fail_are_told_and_the_rest_goes_on(paper, cli, monkeypatch):
+    def fail(todo, folder, jobs):
+        from fracbench.harness.task import Outcome
+
+        for key in todo:
+            yield key, Outcome("failed", "made up", {}, None, None, {}), 1
+
+    monkeypatch.setattr(execute, "outcomes", fail)
+    done = cli("report", "dataset=synthetic")
+    assert done.code == 3
+    assert "two: 3 points, 2 computed" in done.out and "wrote results/page.html" in done.out
+    assert "4 of 4 points are not done (first: made up)" in done.err
+
+
+def test_data_that_cannot_be_had_are_looked_for_once(paper, cli, no_middlebury, monkeypatch):
+    asked = []
+    monkeypatch.setattr(reproduce, "run_paper", lambda settings, **_: asked.append(list(settings)) or 0)
+    done = cli("report", "paths.results=out")
+    assert asked == [["paths.results=out", "dataset=synthetic"]]
+    assert done.err.count("using the synthetic scenes in place of Middlebury") == 1
+
+
+@pytest.mark.parametrize(
+    ("argv", "message"),
+    [
+        (["report", "alpha=1"], "report: an experiment fixes its own grid"),
+        (["report", "--jobs", "0", "dataset=synthetic"], "--jobs must be at least 1, got 0"),
+        (["report", "--smoll"], "unexpected argument '--smoll': did you mean --small?"),
+    ],
+)
+def test_mistakes_are_one_line(paper, cli, argv, message):
+    done = cli(*argv)
+    assert done.code == 2 and message in done.err and len(done.err.splitlines()) == 1
+    assert not (paper / "results").exists()
+
+
+def test_the_experiments_of_the_paper_are_all_there():
+    assert [name for name in reproduce.PAPER if name not in reproduce.list_experiments()] == []
+    assert reproduce.PAPER[:4] == ("table1", "table2", "fig1", "fig2") and len(reproduce.PAPER) == 11
