@@ -243,7 +243,7 @@ def _claims(arguments: argparse.Namespace) -> int:
     from fracbench import reproduce
 
     settings = _settings("claims", arguments.overrides)
-    for line in reproduce.judge(settings, small=arguments.small, show=True):
+    for line in reproduce.judge(settings, small=arguments.small):
         console.say(line)
     return EXIT_DONE
 

@@ -43,14 +43,15 @@ def show_table(table: pd.DataFrame, title: str = "") -> None:
     title : str, optional
         Heading.
     """
+    from rich.markup import escape
     from rich.table import Table
 
-    view = Table(title=title or None, title_justify="left")
+    view = Table(title=escape(title) or None, title_justify="left")
     for column in table.columns:
         numeric = table[column].map(_looks_numeric).all()
         view.add_column(str(column), justify="right" if numeric else "left", no_wrap=True)
     for row in table.itertuples(index=False):
-        view.add_row(*("" if value is None else str(value) for value in row))
+        view.add_row(*("" if value is None else escape(str(value)) for value in row))
     console = _console(stderr=False)
     if not console.is_terminal:
         console.width = 200  # a file or a pipe has no edge to wrap at
@@ -99,6 +100,7 @@ def _bar() -> Progress:
         TimeRemainingColumn,
     )
 
+    terminal = _console(stderr=True)
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(),
@@ -106,6 +108,7 @@ def _bar() -> Progress:
         TimeElapsedColumn(),
         TextColumn("ETA"),
         TimeRemainingColumn(),
-        console=_console(stderr=True),
+        console=terminal,
         transient=True,
+        disable=not terminal.is_terminal,
     )

@@ -44,8 +44,6 @@ def report(settings: Sequence[str] = (), *, jobs: int | None = None, small: bool
     if start.dataset == "synthetic":  # decided once: where there is no network, each look for data costs seconds
         settings = [*(token for token in settings if not token.startswith("dataset=")), "dataset=synthetic"]
     failed = run_paper(settings, jobs=jobs, small=small)
-    for line in judge(settings, small=small):
-        console.say(line)
     console.say(f"wrote {write_report(start.config.results, settings, small)}")
     return failed
 
@@ -81,8 +79,8 @@ def run_paper(settings: Sequence[str] = (), *, jobs: int | None = None, small: b
     return failed
 
 
-def judge(settings: Sequence[str] = (), *, small: bool = False, show: bool = False) -> list[str]:
-    """Judge the paper's claims by what is stored, and write the verdicts; nothing is computed.
+def judge(settings: Sequence[str] = (), *, small: bool = False) -> list[str]:
+    """Judge the paper's claims by what is stored, print and write the verdicts; nothing is computed.
 
     Parameters
     ----------
@@ -90,8 +88,6 @@ def judge(settings: Sequence[str] = (), *, small: bool = False, show: bool = Fal
         Overrides for all grids: data set, paths.
     small : bool, optional
         Judge the thinned grids.
-    show : bool, optional
-        Print the table of verdicts.
 
     Returns
     -------
@@ -110,9 +106,7 @@ def judge(settings: Sequence[str] = (), *, small: bool = False, show: bool = Fal
     results = plan_experiment({}, settings, allow_download=False).config.results
     sources = Sources(results, settings, small)
     judged = claims.evaluate(sources.load)
-    if show:
-        console.show_table(
-            claims.overview_table(judged).drop(columns=["quotation", "place"]), "The paper's claims"
-        )
+    verdicts = claims.overview_table(judged).drop(columns=["quotation", "place"])
+    console.show_table(verdicts, "The paper's claims")
     files = claims.write_claims(judged, ensure_folder(results / "tables") / f"claims{sources.suffix}")
     return [*claims.count_lines(judged), *(f"wrote {path}" for path in files)]

@@ -47,7 +47,7 @@ def alpha_regions(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], r
     table = tables.tidy(plan, rows).reindex(columns=_COLUMNS)
     if MAIN not in set(table["part"]):
         raise InputError(f"experiment {experiment.name}: artefact {experiment.artefact} needs the grid {MAIN!r}")
-    story = _Regions(table, experiment.options.get("paper", {}))
+    story = _Regions(table, _captions(experiment))
     figures = story.figures(experiment.name, experiment.title)
     folder = tables.ensure_folder(results / "figures")
     artefact = Artefact(views=story.views())
@@ -58,6 +58,17 @@ def alpha_regions(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], r
         stem = file_stem(f"{experiment.name}_{BAND}", plan, folder)
         artefact.files.append(tables.write_table(story.band(), stem))
     return artefact
+
+
+def _captions(experiment: Experiment) -> dict[str, dict[str, float]]:
+    """Return what the captions say of each region, checked."""
+    keys = (SB, *METRICS)
+    try:
+        given = dict(experiment.options.get("paper", {}))
+        return {region: {key: float(said[key]) for key in keys} for region, said in given.items()}
+    except (TypeError, ValueError, KeyError) as exc:
+        wanted = "a mapping of regions to " + "{ " + ", ".join(f"{key}: NUMBER" for key in keys) + " }"
+        raise InputError(f"experiment {experiment.name}: the option 'paper' must be {wanted}") from exc
 
 
 class _Regions:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from fracbench.data.sequence import load_sequence
-from fracbench.errors import InputError
+from fracbench.errors import InputError, unknown_name
 from fracbench.harness.config import SequenceConfig, load_config
 from fracbench.harness.experiment import Experiment
 from fracbench.harness.plan import Plan, canonical_value
@@ -158,6 +158,10 @@ def family(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results:
     options = dict(experiment.options)
     x, hue = _option(experiment, "x"), _option(experiment, "family")
     table = tables.tidy(plan, rows)
+    swept = [name for name in FlowParams.names() if name in table.columns]
+    for name in (x, hue):
+        if name not in swept:
+            raise unknown_name("parameter", str(name), swept, f"experiment {experiment.name}, options")
     table = table[["protocol", "sequence", "method", hue, x, "aae", "aepe", "status"]]
     looks = {name: options[name] for name in ("styles", "shade", "logx") if name in options}
     figures = {}

@@ -121,6 +121,19 @@ def test_the_captions_are_the_papers():
     }  # fmt: skip
 
 
+@pytest.mark.parametrize(
+    "paper", [["grove2_A"], {"grove2_A": 5}, {"grove2_A": {"lambda_sb": 5, "aae": 1}},
+              {"grove2_A": {"lambda_sb": 5, "aae": 1, "aepe": "x"}}]
+)  # fmt: skip
+def test_captions_that_cannot_be_read_are_refused(tmp_path, fake_rows, paper):
+    grids = {"main": ["region=grove2_A", "alpha=0,1"]}
+    made = plan_experiment(grids, SCENES)
+    experiment = Experiment("mine", "Mine", "alpha_regions", grids, {"paper": paper})
+    with pytest.raises(InputError, match="experiment mine: the option 'paper' must be a mapping of regions to"):
+        render(experiment, made, fake_rows(made), tmp_path)
+    assert files(tmp_path) == []
+
+
 # -- panels --------------------------------------------------------------------------------------
 
 

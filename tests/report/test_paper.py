@@ -316,3 +316,13 @@ def test_an_option_that_is_missing_is_named(tmp_path, artefact, option):
     with pytest.raises(InputError, match=f"experiment mine: artefact {artefact} needs the option '{option}'"):
         render(experiment, made, {}, tmp_path)
     assert files(tmp_path) == []
+
+
+def test_a_key_that_is_no_parameter_offers_the_nearest(tmp_path, fake_rows):
+    experiment = Experiment("mine", "Mine", "family", {}, {"x": "thetta", "family": "lambda"})
+    made = plan_experiment({"main": ["sequence=synthetic_flat", "theta=0.1,0.2"]})
+    with pytest.raises(
+        InputError, match="experiment mine, options: unknown parameter 'thetta': did you mean 'theta'"
+    ):
+        render(experiment, made, fake_rows(made), tmp_path)
+    assert files(tmp_path) == []

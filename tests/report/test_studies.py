@@ -177,7 +177,8 @@ def test_sentences_compare_with_the_limit_and_with_the_paper():
     )
     assert said[1] == (
         "In the paper, the best alpha is by AAE within 0.2 of the limit on 2 of 2 regions, with a rank "
-        "correlation of +1.00; by AEPE within 0.2 of the limit on 1 of 2 regions, with a rank correlation of +1.00."
+        "correlation of +1.00; by AEPE within 0.2 of the limit on 1 of 2 regions, with a rank correlation of "
+        "+1.00."
     )
     assert said[2].startswith(
         "With Jacobi (printed), the best alpha is by AAE within 0.2 of the limit on 0 of 2 regions, with a rank "
