@@ -254,11 +254,9 @@ def test_one_worker_may_die_as_well(store, monkeypatch):
     replace_point(monkeypatch, instead)
     made = plan("alpha=0,1,2")
     rows = by_alpha(made, execute.run(made, store, jobs=1))
-    assert {alpha: (row.status, row.attempts) for alpha, row in rows.items()} == {
-        "0": ("done", 1),
-        "1": ("crashed", 2),
-        "2": ("done", 1),
-    }
+    assert {alpha: row.status for alpha, row in rows.items()} == {"0": "done", "1": "crashed", "2": "done"}
+    # Point 0 may be started twice: its outcome can be on its way when the worker dies at once after it.
+    assert rows["1"].attempts == 2 and rows["0"].attempts <= 2 and rows["2"].attempts == 1
 
 
 def test_one_job_means_one_point_at_a_time(store, monkeypatch, tmp_path):
