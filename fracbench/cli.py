@@ -148,7 +148,7 @@ def _build_parser() -> argparse.ArgumentParser:
     bench = add("bench", _bench, "time the methods and the peers that are installed, interleaved, warm")
     bench.add_argument("--repeats", type=int, default=5, help="timed rounds; the median counts (default: 5)")
     bench.add_argument("--threads", type=int, default=1, help="threads of BLAS and of the peers (default: 1)")
-    bench.add_argument("--only", nargs="+", default=[], metavar="NAME", help="contenders, by beginning of name")
+    bench.add_argument("--only", default="", metavar="NAME,...", help="contenders, by beginning of name")
     _add_overrides(bench, grid=False)
     data = add("data", _data, "say where the Middlebury data are and whether they are whole; fetch them")
     data.add_argument("--download", action="store_true", help="download what is missing into the user's cache")
@@ -301,7 +301,7 @@ def _bench(arguments: argparse.Namespace) -> int:
         arguments.overrides or ["sequence=all"],
         repeats=arguments.repeats,
         threads=arguments.threads,
-        only=arguments.only,
+        only=[name for name in arguments.only.split(",") if name],
     )
     return EXIT_DONE
 
