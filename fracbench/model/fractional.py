@@ -29,6 +29,14 @@ import scipy.linalg
 
 from fracbench.errors import InputError, unknown_name
 from fracbench.model.arrays import Array, Float64Array
+from fracbench.model.transforms import (
+    cosine,
+    cosine_back,
+    derivatives,
+    derivatives_adjoint,
+    line_plan,
+    multiply_sum,
+)
 
 BOUNDARIES = ("zero", "reflect", "natural")
 ALPHA_RANGE = (0.0, 2.0)
@@ -156,6 +164,32 @@ class GradientOperator(ABC):
         return u, self.apply(u)
 
 
+    def solve(self, v: Array, g: Array, theta: float, mu: float, inverse: Array, u: Array, du: Array) -> None:
+        """Take the u-step of both components: minimise ``|u - v|^2 / (2 theta) + mu/2 weight |D u - g|^2``.
+
+        The default is the formula; an operator that knows a faster way to the same numbers overrides it.
+
+        Parameters
+        ----------
+        v : ndarray, shape (2, H, W)
+            Data.
+        g : ndarray, shape (2, *range_shape)
+            ``d - b``.
+        theta, mu : float
+            Tightness and split Bregman parameter.
+        inverse : ndarray, shape (H, W)
+            See `u_step`.
+        u : ndarray, shape (2, H, W)
+            The minimiser, overwritten.
+        du : ndarray, shape (2, *range_shape)
+            Its derivatives, overwritten; may be `g`.
+        """
+        real = self.dtype.type
+        for component in range(2):
+            rhs = v[component] / real(theta) + real(mu * self.weight) * self.adjoint(g[component])
+            u[component], du[component] = self.u_step(rhs, inverse)
+
+
 class ZeroGradient(GradientOperator):
     """Left derivatives of u extended by 0: the operator of Algorithm 4.
 
@@ -261,6 +295,7 @@ class ReflectGradient(_CosineGradient):
         super().__init__(alpha, shape, dtype)
         self._cos_y, self._sin_y = (m[:, None] for m in self._multipliers(shape[0]))
         self._cos_x, self._sin_x = self._multipliers(shape[1])
+        self._work = np.empty((2, 2, *shape), self.dtype)
 
     def _multipliers(self, n: int) -> tuple[Array, Array]:
         modulus = _sine_symbol(n) ** self.alpha
@@ -278,14 +313,28 @@ class ReflectGradient(_CosineGradient):
         along_y = _idct(self._adjoint_coefficients(d[:, 1], self._cos_y, self._sin_y, 0), 0)
         return along_x + along_y
 
-    def u_step(self, rhs: Array, inverse: Array) -> tuple[Array, Array]:
-        d = np.empty(self.range_shape, self.dtype)
-        coefficients = self.to_basis(rhs) * inverse
-        in_y = _idct(coefficients, 1)
-        in_x = _idct(coefficients, 0)
-        self._derivatives(in_x, self._cos_x, self._sin_x, 1, d[:, 0])
-        self._derivatives(in_y, self._cos_y, self._sin_y, 0, d[:, 1])
-        return _idct(in_x, 1), d
+    def solve(self, v: Array, g: Array, theta: float, mu: float, inverse: Array, u: Array, du: Array) -> None:
+        plan_y, plan_x = (line_plan(n, self.dtype) for n in self.shape)
+        ones_y, ones_x = (np.ones(n, self.dtype) for n in self.shape)
+        cos_y, sin_y = self._cos_y.ravel(), self._sin_y.ravel()
+        height, width = self.shape
+        step = self.dtype.type(mu * self.weight)
+        direct, nothing = ones_x / self.dtype.type(theta), ones_x[:0]
+        # The right-hand side: first along each axis alone, then both in the basis of both axes ...
+        in_x, in_y = self._work
+        derivatives_adjoint(
+            g, v, 1, 0, height, step * self._cos_x, step * self._sin_x, direct, plan_x, in_x
+        )
+        derivatives_adjoint(g, v, 0, 0, width, step * cos_y, step * sin_y, nothing, plan_y, in_y)
+        cosine(in_x, 0, 0, width, ones_y, plan_y, in_x)
+        cosine(in_y, 1, 0, height, ones_x, plan_x, in_y)
+        # ... where the system is a division; and the same way back to u and its derivatives.
+        multiply_sum(in_x, in_y, inverse)
+        cosine_back(in_x, 1, 0, height, ones_x, plan_x, in_y)
+        cosine_back(in_x, 0, 0, width, ones_y, plan_y, in_x)
+        cosine_back(in_x, 1, 0, height, ones_x, plan_x, u)
+        derivatives(in_x, 1, 0, height, self._cos_x, self._sin_x, plan_x, du)
+        derivatives(in_y, 0, 0, width, cos_y, sin_y, plan_y, du)
 
     @staticmethod
     def _derivatives(coefficients: Array, cosine: Array, sine: Array, axis: int, out: Array) -> None:

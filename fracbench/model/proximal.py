@@ -115,40 +115,42 @@ def coupled_threshold(
 
 
 @jit
-def shrink_update(du: Array, b: Array, threshold: float, relaxation: float, g: Array) -> None:
-    """Shrink, update the Bregman variable, and form what the next u-step needs.
+def shrink_update(w: Array, z: Array, threshold: float, relaxation: float) -> None:
+    """Shrink, update the Bregman variable, and form what the next u-step needs; (shrinkalpha), (csbalpha).
 
-    With ``z = D u + b``: ``d = shrink(z, threshold)`` (isotropic, each (x, y) pair by its euclidean
-    norm, shrink(0) = 0), ``b <- z - d``, ``g = d - b``; equations (shrinkalpha) and (csbalpha).
+    With ``z = D u + b``: ``d = shrink(z, threshold)`` (isotropic, each (x, y) pair by its euclidean norm,
+    shrink(0) = 0) and ``b <- z - d``, the projection of z on the ball of radius `threshold`. So z alone is
+    the state: d and b of the last step follow from it.
 
     Parameters
     ----------
-    du : ndarray, shape (pairs, 2, h, w)
-        Derivatives of u.
-    b : ndarray, shape (pairs, 2, h, w)
-        Bregman variable, overwritten.
+    w : ndarray, shape (pairs, 2, h, w)
+        Derivatives of u; overwritten by ``d - b``.
+    z : ndarray, shape (pairs, 2, h, w)
+        State, overwritten by the next; 0 means that d = b = 0.
     threshold : float
         ``1 / mu``.
     relaxation : float
         In place of D u takes ``relaxation D u + (1 - relaxation) d``, with the last d; 1 for none.
-    g : ndarray, shape (pairs, 2, h, w)
-        ``d - b``, overwritten by the next.
     """
-    pairs, _, height, width = du.shape
+    pairs, _, height, width = w.shape
     rest = 1.0 - relaxation
     for p in range(pairs):
         for i in range(height):
             for j in range(width):
-                bx, by = b[p, 0, i, j], b[p, 1, i, j]
-                zx = relaxation * du[p, 0, i, j] + rest * (g[p, 0, i, j] + bx) + bx
-                zy = relaxation * du[p, 1, i, j] + rest * (g[p, 1, i, j] + by) + by
+                zx, zy = z[p, 0, i, j], z[p, 1, i, j]
                 norm = math.sqrt(zx * zx + zy * zy)
-                # b is the projection of z on the ball of radius `threshold`; d is the rest.
                 kept = 1.0 if norm <= threshold else threshold / norm
-                b[p, 0, i, j] = kept * zx
-                b[p, 1, i, j] = kept * zy
-                g[p, 0, i, j] = (1.0 - 2.0 * kept) * zx
-                g[p, 1, i, j] = (1.0 - 2.0 * kept) * zy
+                # b is kept z and d the rest of it
+                share = kept + rest * (1.0 - kept)
+                zx = relaxation * w[p, 0, i, j] + share * zx
+                zy = relaxation * w[p, 1, i, j] + share * zy
+                norm = math.sqrt(zx * zx + zy * zy)
+                kept = 1.0 if norm <= threshold else threshold / norm
+                z[p, 0, i, j] = zx
+                z[p, 1, i, j] = zy
+                w[p, 0, i, j] = (1.0 - 2.0 * kept) * zx
+                w[p, 1, i, j] = (1.0 - 2.0 * kept) * zy
 
 
 @jit

@@ -170,9 +170,9 @@ class SplitBregman:
         self._cold = inner == "cold"
         self._relaxation = relaxation if u_solver == "exact" and not self._cold else 1.0
         self._tol, self._max_inner = tol, max_inner
-        self._b = np.zeros((2, *operator.range_shape), operator.dtype)
-        self._g = np.zeros_like(self._b)
-        self._started = [False, False]
+        self._z = np.zeros((2, *operator.range_shape), operator.dtype)
+        self._w = np.zeros_like(self._z)  # by turns D u and d - b
+        self._started = False
         if u_solver == "exact":
             self._inverse = inverse_eigenvalues(operator, theta, mu)
         else:
@@ -180,28 +180,33 @@ class SplitBregman:
 
     def restart(self) -> None:
         """Set d and b to 0."""
-        self._b[...] = 0.0
-        self._started = [False, False]
+        self._z[...] = 0.0
+        self._w[...] = 0.0
+        self._started = False
 
     def step(self, v: Array, u: Array, out: Array) -> int:
         """Take one warm step, or iterate from a cold start; see `Regularizer.step`."""
-        if not self._cold:
-            for component in range(2):
-                self._warm(component, v[component], u[component], out[component])
-            return 1
-        return sum(self._iterate(component, v[component], out[component]) for component in range(2))
-
-    def _warm(self, component: int, v: Array, u: Array, out: Array) -> None:
-        if not self._started[component]:
+        if self._cold:
+            return sum(self._iterate(component, v[component], out[component]) for component in range(2))
+        relaxation = self._relaxation
+        if not self._started:
             # d = D u, b = 0: the first step then starts from the flow at hand instead of smoothing it away.
-            self._g[component] = self.operator.apply(u)
-            self._started[component] = True
-        out[...] = u
-        self.bregman_step(component, v, out)
+            for component in range(2):
+                self._w[component] = self.operator.apply(u[component])
+            self._started, relaxation = True, 1.0
+        if self._solver == "exact":
+            self.operator.solve(v, self._w, self._theta, self._mu, self._inverse, out, self._w)
+        else:
+            out[...] = u
+            for component in range(2):
+                self._sweep(component, v[component], out[component])
+        pairs = self._z.reshape(-1, *self._z.shape[2:])
+        shrink_update(self._w.reshape(pairs.shape), pairs, 1.0 / self._mu, relaxation)
+        return 1
 
     def _iterate(self, component: int, v: Array, out: Array) -> int:
-        self._b[component] = 0.0
-        self._g[component] = 0.0
+        self._z[component] = 0.0
+        self._w[component] = 0.0
         out[...] = v
         change, count = math.inf, 0
         while change > self._tol**2 and count < self._max_inner:
@@ -223,20 +228,20 @@ class SplitBregman:
         u : ndarray, shape (H, W)
             Current iterate, overwritten by the next.
         """
-        operator, g = self.operator, self._g[component]
-        rhs = v / u.dtype.type(self._theta) + u.dtype.type(self._mu * operator.weight) * operator.adjoint(g)
-        if self._solver == "exact":
-            solution, du = operator.u_step(rhs, self._inverse)
-            u[...] = solution
-        else:
-            self._sweep(u, rhs)
-            du = operator.apply(u)
-        shrink_update(du, self._b[component], 1.0 / self._mu, self._relaxation, g)
+        self._sweep(component, v, u)
+        shrink_update(self._w[component], self._z[component], 1.0 / self._mu, 1.0)
 
-    def _sweep(self, u: Array, rhs: Array) -> None:
+    def _sweep(self, component: int, v: Array, u: Array) -> None:
+        """Take the u-step of one component and leave the derivatives of u in its w."""
+        operator, w = self.operator, self._w[component]
+        rhs = v / u.dtype.type(self._theta) + u.dtype.type(self._mu * operator.weight) * operator.adjoint(w)
+        if self._solver == "exact":
+            u[...], w[...] = operator.u_step(rhs, self._inverse)
+            return
         if self._solver == "jacobi":
             u[...] = jacobi_sweep(u, rhs, self._ny, self._nx, self._theta, self._mu)
-        elif isinstance(self.operator, NaturalGradient):
+        elif isinstance(operator, NaturalGradient):
             gauss_seidel_natural(u, rhs, self._theta, self._mu)
         else:
             gauss_seidel_dense(u, rhs, self._ny, self._nx, self._theta, self._mu)
+        w[...] = operator.apply(u)
