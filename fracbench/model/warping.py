@@ -75,18 +75,20 @@ def cubic_weights(t: float) -> tuple[float, float, float, float]:
 
 
 @jit
-def _sample(
-    image: Array,
-    top: int,
-    left: int,
-    wx: tuple[float, float, float, float],
-    wy: tuple[float, float, float, float],
-) -> float:
-    value = 0.0
+def _weights(t, real):  # type: ignore[no-untyped-def]
+    a, b, c, d = cubic_weights(t)
+    return real(a), real(b), real(c), real(d)
+
+
+@jit
+def _sample(image, top, left, wx, wy):  # type: ignore[no-untyped-def]
+    # Unsigned indices: no test for negative ones, which would count from the end. The caller has checked.
+    c0 = np.uintp(left - 1)
+    c1, c2, c3 = c0 + np.uintp(1), c0 + np.uintp(2), c0 + np.uintp(3)
+    value = image.dtype.type(0.0)
     for p in range(4):
-        r = top - 1 + p
-        row = wx[0] * image[r, left - 1] + wx[1] * image[r, left]
-        row += wx[2] * image[r, left + 1] + wx[3] * image[r, left + 2]
+        r = np.uintp(top - 1 + p)
+        row = wx[0] * image[r, c0] + wx[1] * image[r, c1] + wx[2] * image[r, c2] + wx[3] * image[r, c3]
         value += wy[p] * row
     return value
 
@@ -112,6 +114,7 @@ def linearize(frame0: Array, frame1: Array, gradient1: Array, u0: Array, rho_c: 
         Output, see `Linearization`.
     """
     height, width = frame0.shape
+    real = frame0.dtype.type
     for i in range(height):
         for j in range(width):
             x = j + float(u0[0, i, j])
@@ -122,10 +125,8 @@ def linearize(frame0: Array, frame1: Array, gradient1: Array, u0: Array, rho_c: 
                 gradient[0, i, j] = 0.0
                 gradient[1, i, j] = 0.0
                 continue
-            left = math.floor(x)
-            top = math.floor(y)
-            wx = cubic_weights(x - left)
-            wy = cubic_weights(y - top)
+            left, top = int(x), int(y)
+            wx, wy = _weights(x - left, real), _weights(y - top, real)
             value = _sample(frame1, top, left, wx, wy)
             gx = _sample(gradient1[0], top, left, wx, wy)
             gy = _sample(gradient1[1], top, left, wx, wy)
