@@ -6,8 +6,10 @@ import numpy as np
 
 from fracbench.model.arrays import Array
 from fracbench.model.estimator import FlowResult, coarse_to_fine
-from fracbench.model.fractional import GradientOperator, NaturalGradient, make_operator
+from fracbench.model.fractional import make_operator
+from fracbench.model.gradient import GradientOperator
 from fracbench.model.params import FlowParams
+from fracbench.model.reflected import NaturalGradient
 from fracbench.model.regularizers import Regularizer, SplitBregman, TVDual
 from fracbench.model.solver import MultiplierStep, PenaltyStep, VStep
 

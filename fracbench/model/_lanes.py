@@ -9,7 +9,7 @@ is not, because nothing tells the compiler that its arrays do not overlap. Where
 from __future__ import annotations
 
 import operator
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from llvmlite import ir
@@ -18,6 +18,8 @@ from numba.core.typing.templates import AbstractTemplate, infer_global, signatur
 from numba.extending import intrinsic, lower_builtin, models, register_model
 
 LANES = 8
+#: Eight numbers.
+Lanes: TypeAlias = Any
 # a * b + c may be rounded once instead of twice, as in every compiled loop of the model
 _FLAGS = ("contract", "nsz")
 
@@ -156,7 +158,7 @@ def _transpose_slowly(rows: Any) -> Any:
     return tuple(np.array(rows).T)
 
 
-if config.DISABLE_JIT:
-    load, store, transpose = _load_slowly, _store_slowly, _transpose_slowly
-else:
-    load, store, transpose = _load, _store, _transpose
+_SLOWLY: bool = config.DISABLE_JIT  # type: ignore[attr-defined]
+load: Any = _load_slowly if _SLOWLY else _load
+store: Any = _store_slowly if _SLOWLY else _store
+transpose: Any = _transpose_slowly if _SLOWLY else _transpose

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fracbench.model.arrays import Array
-from fracbench.model.fractional import GradientOperator
+from fracbench.model.gradient import GradientOperator
 from fracbench.model.warping import Linearization
 
 

@@ -2,7 +2,7 @@
 
 ``Ny`` and ``Nx`` are the normal operators along the two axes, ``mu = lambda_sb``. The system is symmetric
 positive definite. Solved exactly it is a division in the eigenbasis of the gradient operator
-(`fracbench.model.fractional`); the sweeps here are the paper's way, with its misprints corrected.
+(`fracbench.model.gradient`); the sweeps here are the paper's way, with its misprints corrected.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import numpy as np
 
 from fracbench.model._jit import jit
 from fracbench.model.arrays import Array, Float64Array
-from fracbench.model.fractional import GradientOperator
+from fracbench.model.gradient import GradientOperator
 
 
 def inverse_eigenvalues(operator: GradientOperator, theta: float, mu: float) -> Array:

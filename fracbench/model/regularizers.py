@@ -12,7 +12,7 @@ import numpy as np
 
 from fracbench.model._jit import jit
 from fracbench.model.arrays import Array
-from fracbench.model.fractional import GradientOperator, NaturalGradient
+from fracbench.model.gradient import GradientOperator
 from fracbench.model.linear import (
     gauss_seidel_dense,
     gauss_seidel_natural,
@@ -20,6 +20,7 @@ from fracbench.model.linear import (
     jacobi_sweep,
 )
 from fracbench.model.proximal import mean_squared_change, shrink_update
+from fracbench.model.reflected import NaturalGradient
 
 
 class Regularizer(Protocol):

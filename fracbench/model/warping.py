@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -75,13 +75,13 @@ def cubic_weights(t: float) -> tuple[float, float, float, float]:
 
 
 @jit
-def _weights(t, real):  # type: ignore[no-untyped-def]
+def _weights(t: float, real: Any) -> tuple[Any, Any, Any, Any]:
     a, b, c, d = cubic_weights(t)
     return real(a), real(b), real(c), real(d)
 
 
 @jit
-def _sample(image, top, left, wx, wy):  # type: ignore[no-untyped-def]
+def _sample(image: Array, top: int, left: int, wx: tuple[Any, ...], wy: tuple[Any, ...]) -> Any:
     # Unsigned indices: no test for negative ones, which would count from the end. The caller has checked.
     c0 = np.uintp(left - 1)
     c1, c2, c3 = c0 + np.uintp(1), c0 + np.uintp(2), c0 + np.uintp(3)

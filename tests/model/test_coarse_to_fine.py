@@ -7,8 +7,8 @@ import pytest
 import reference_impl as ref
 
 from fracbench.model.estimator import coarse_to_fine
-from fracbench.model.fractional import NaturalGradient
 from fracbench.model.params import FlowParams
+from fracbench.model.reflected import NaturalGradient
 from fracbench.model.solver import PenaltyStep
 
 

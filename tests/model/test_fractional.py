@@ -9,14 +9,10 @@ import reference_impl as ref
 import scipy.special
 
 from fracbench.errors import InputError
-from fracbench.model.fractional import (
-    NaturalGradient,
-    ReflectGradient,
-    ZeroGradient,
-    gl_weights,
-    left_derivative_matrix,
-    make_operator,
-)
+from fracbench.model.fractional import ZeroGradient, gl_weights, left_derivative_matrix, make_operator
+from fracbench.model.gradient import GradientOperator
+from fracbench.model.linear import inverse_eigenvalues
+from fracbench.model.reflected import NaturalGradient, ReflectGradient
 
 ALPHAS = (0.0, 0.3, 0.7, 1.0, 1.3, 1.9, 2.0)
 SHAPES = ((7, 5), (8, 6), (13, 11), (1, 9), (9, 1), (1, 1), (16, 3))
@@ -148,6 +144,24 @@ def test_u_step_returns_the_solution_and_its_derivatives(rng, boundary, alpha, p
     u, du = operator.u_step(rhs, inverse)
     np.testing.assert_allclose(operator.to_basis(u), inverse * operator.to_basis(rhs), atol=1e-13)
     np.testing.assert_allclose(du, operator.apply(u), atol=1e-13)
+
+
+@SIZES
+@OPERATORS
+def test_solve_is_the_dense_u_step_of_both_components(rng, boundary, alpha, pad, shape):
+    theta, mu = 0.7, 3.0
+    operator = make_operator(boundary, alpha, shape, np.float64, pad)
+    v, g = rng.normal(size=(2, *shape)), rng.normal(size=(2, *operator.range_shape))
+    system = np.eye(v[0].size) / theta + mu * ref.dense_normal(boundary, alpha, shape, pad)
+    expected = []
+    for component in range(2):
+        rhs = v[component] / theta + mu * operator.weight * operator.adjoint(g[component])
+        expected.append(np.linalg.solve(system, rhs.ravel()).reshape(shape))
+    for solve in (operator.solve, lambda *args: GradientOperator.solve(operator, *args)):
+        u, w = np.empty_like(v), g.copy()
+        solve(v, w, theta, mu, inverse_eigenvalues(operator, theta, mu), u, w)
+        np.testing.assert_allclose(u, expected, atol=1e-12)
+        np.testing.assert_allclose(w, [operator.apply(component) for component in u], atol=1e-12)
 
 
 @OPERATORS

@@ -1,0 +1,128 @@
+"""Fractional gradients of Gruenwald-Letnikov type under three boundary rules (sections 2 and 3.2 of the paper).
+
+An operator maps an image ``u`` of shape ``(H, W)`` to ``pairs`` of (x, y) derivatives of shape
+``(pairs, 2, h, w)`` and stands for the regulariser ``R(u) = weight * sum_pairs sum_pixels |D_pair u|``.
+Each knows its exact adjoint and the basis in which its normal operator
+``weight * sum_pairs D_pair^T D_pair`` is the sum of two diagonals, one an axis: that is what makes the
+u-step a division.
+
+==========  =========================================  =====================================  ============
+boundary    u outside the image                        derivatives (pairs)                    basis
+==========  =========================================  =====================================  ============
+`zero`      0 (the paper's Dirichlet condition)        left                                   eigenvectors
+`reflect`   mirrored about the edges                   left and right, each weighing 1/2      DCT-II
+`natural`   no flux (alpha = 1 only; Algorithm 3)      forward differences                    DCT-II
+==========  =========================================  =====================================  ============
+
+The adjoint under `zero` is the right derivative (the paper's integration by parts, made exact).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+import numpy as np
+
+from fracbench.model.arrays import Array, Float64Array
+
+
+class GradientOperator(ABC):
+    """A discrete gradient, its adjoint and the basis that diagonalises its normal operator.
+
+    Parameters
+    ----------
+    alpha : float
+        Order of the derivative.
+    shape : tuple of int
+        ``(H, W)`` of the images it acts on.
+    dtype : dtype-like
+        float32 or float64: the precision of all results.
+
+    Attributes
+    ----------
+    pairs : int
+        Number of (x, y) pairs of derivatives.
+    weight : float
+        Weight of each pair in the regulariser.
+    range_shape : tuple of int
+        Shape of ``apply(u)``.
+    """
+
+    pairs: ClassVar[int] = 1
+    weight: ClassVar[float] = 1.0
+
+    def __init__(self, alpha: float, shape: tuple[int, int], dtype: np.dtype | type = np.float64) -> None:
+        self.alpha = float(alpha)
+        self.shape = shape
+        self.dtype = np.dtype(dtype)
+        self.range_shape: tuple[int, int, int, int] = (self.pairs, 2, *shape)
+
+    @abstractmethod
+    def apply(self, u: Array) -> Array:
+        """Return all derivatives of `u`, shape `range_shape`."""
+
+    @abstractmethod
+    def adjoint(self, d: Array) -> Array:
+        """Return ``sum_pairs D_pair^T d_pair``, shape ``(H, W)`` (without `weight`)."""
+
+    @abstractmethod
+    def to_basis(self, u: Array) -> Array:
+        """Return the coefficients of `u` in the orthonormal basis of the normal operator."""
+
+    @abstractmethod
+    def from_basis(self, coefficients: Array) -> Array:
+        """Return the image with these `coefficients`; the inverse of `to_basis`."""
+
+    @abstractmethod
+    def eigenvalues(self) -> tuple[Float64Array, Float64Array]:
+        """Return the eigenvalues of the normal operator along y and x, shapes ``(H,)`` and ``(W,)``."""
+
+    @abstractmethod
+    def normal_matrices(self) -> tuple[Float64Array, Float64Array]:
+        """Return the normal operator along y and x as dense matrices, ``(H, H)`` and ``(W, W)``."""
+
+    def u_step(self, rhs: Array, inverse: Array) -> tuple[Array, Array]:
+        """Solve the u-system and differentiate the solution.
+
+        Parameters
+        ----------
+        rhs : ndarray, shape (H, W)
+            Right-hand side.
+        inverse : ndarray, shape (H, W)
+            Inverse of the system's eigenvalues, ``1 / (1/theta + mu (ly_i + lx_j))``.
+
+        Returns
+        -------
+        u : ndarray, shape (H, W)
+            The solution.
+        du : ndarray, shape `range_shape`
+            ``apply(u)``.
+        """
+        u = self.from_basis(self.to_basis(rhs) * inverse)
+        return u, self.apply(u)
+
+    def solve(self, v: Array, g: Array, theta: float, mu: float, inverse: Array, u: Array, du: Array) -> None:
+        """Take the u-step of both components: minimise ``|u - v|^2 / (2 theta) + mu/2 weight |D u - g|^2``.
+
+        The default is the formula; an operator that knows a faster way to the same numbers overrides it.
+
+        Parameters
+        ----------
+        v : ndarray, shape (2, H, W)
+            Data.
+        g : ndarray, shape (2, *range_shape)
+            ``d - b``.
+        theta, mu : float
+            Tightness and split Bregman parameter.
+        inverse : ndarray, shape (H, W)
+            See `u_step`.
+        u : ndarray, shape (2, H, W)
+            The minimiser, overwritten.
+        du : ndarray, shape (2, *range_shape)
+            Its derivatives, overwritten; may be `g`.
+        """
+        real = self.dtype.type
+        for component in range(2):
+            rhs = v[component] / real(theta) + real(mu * self.weight) * self.adjoint(g[component])
+            u[component], du[component] = self.u_step(rhs, inverse)

@@ -1,0 +1,168 @@
+"""Gradients of images mirrored about their edges: the DCT-II diagonalises their normal operators."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+import scipy.fft
+
+from fracbench.model.arrays import Array, Float64Array
+from fracbench.model.fourier import line_plan
+from fracbench.model.gradient import GradientOperator
+from fracbench.model.transforms import cosine, cosine_back, derivatives, derivatives_adjoint, multiply_sum
+
+
+class _CosineGradient(GradientOperator):
+    """What the two operators share whose normal operator the DCT-II diagonalises.
+
+    The methods of one component are written with SciPy's transforms, `solve` with our own.
+    """
+
+    def __init__(self, alpha: float, shape: tuple[int, int], dtype: np.dtype | type = np.float64) -> None:
+        super().__init__(alpha, shape, dtype)
+        self._plan_y, self._plan_x = (line_plan(n, self.dtype) for n in shape)
+        self._one_y, self._one_x = (np.ones(n, self.dtype) for n in shape)
+
+    def to_basis(self, u: Array) -> Array:
+        return scipy.fft.dctn(u, type=2, norm="ortho", workers=1)
+
+    def from_basis(self, coefficients: Array) -> Array:
+        return scipy.fft.idctn(coefficients, type=2, norm="ortho", workers=1)
+
+    def eigenvalues(self) -> tuple[Float64Array, Float64Array]:
+        ly, lx = (_sine_symbol(n) ** (2.0 * self.alpha) for n in self.shape)
+        return ly, lx
+
+    def normal_matrices(self) -> tuple[Float64Array, Float64Array]:
+        ny, nx = (_from_cosine_basis(eigenvalues) for eigenvalues in self.eigenvalues())
+        return ny, nx
+
+
+def _from_cosine_basis(eigenvalues: Float64Array) -> Float64Array:
+    cosines = scipy.fft.dct(np.eye(eigenvalues.size), axis=0, norm="ortho")
+    return scipy.fft.idct(eigenvalues[:, None] * cosines, axis=0, norm="ortho")
+
+
+def _sine_symbol(n: int) -> Float64Array:
+    return 2.0 * np.sin(np.pi * np.arange(n) / (2 * n))
+
+
+class ReflectGradient(_CosineGradient):
+    r"""Left and right derivatives of u extended evenly about the edges.
+
+    On the 2n-periodic even extension the Gruenwald-Letnikov sum is the Fourier multiplier
+    ``(1 - e^{-iw})^alpha = (2 sin(w/2))^alpha e^{i alpha (pi - w)/2}``. Of a cosine series it makes a cosine
+    and a sine series, ``D_- u = A - B`` and ``D_+ u = A + B``, so both derivatives cost one inverse
+    DCT and one inverse DST.
+    """
+
+    pairs: ClassVar[int] = 2
+    weight: ClassVar[float] = 0.5
+
+    def __init__(self, alpha: float, shape: tuple[int, int], dtype: np.dtype | type = np.float64) -> None:
+        super().__init__(alpha, shape, dtype)
+        self._cos_y, self._sin_y = self._multipliers(shape[0])
+        self._cos_x, self._sin_x = self._multipliers(shape[1])
+        self._work = np.empty((2, 2, *shape), self.dtype)
+
+    def _multipliers(self, n: int) -> tuple[Array, Array]:
+        modulus = _sine_symbol(n) ** self.alpha
+        phase = self.alpha * (np.pi - np.pi * np.arange(n) / n) / 2.0
+        return (modulus * np.cos(phase)).astype(self.dtype), (modulus * np.sin(phase)).astype(self.dtype)
+
+    def apply(self, u: Array) -> Array:
+        d = np.empty(self.range_shape, self.dtype)
+        self._derivatives(_dct(u, 1), self._cos_x, self._sin_x, 1, d[:, 0])
+        self._derivatives(_dct(u, 0), self._cos_y[:, None], self._sin_y[:, None], 0, d[:, 1])
+        return d
+
+    def adjoint(self, d: Array) -> Array:
+        along_x = _idct(self._adjoint_coefficients(d[:, 0], self._cos_x, self._sin_x, 1), 1)
+        along_y = _idct(self._adjoint_coefficients(d[:, 1], self._cos_y[:, None], self._sin_y[:, None], 0), 0)
+        return along_x + along_y
+
+    def solve(self, v: Array, g: Array, theta: float, mu: float, inverse: Array, u: Array, du: Array) -> None:
+        height, width = self.shape
+        plan_y, plan_x, one_y, one_x = self._plan_y, self._plan_x, self._one_y, self._one_x
+        real = self.dtype.type
+        step, direct, nothing = real(mu * self.weight), one_x / real(theta), one_x[:0]
+        in_x, in_y = self._work
+        # The right-hand side, first along each axis alone, then both in the basis of both axes ...
+        derivatives_adjoint(g, v, 1, 0, height, step * self._cos_x, step * self._sin_x, direct, plan_x, in_x)
+        derivatives_adjoint(g, v, 0, 0, width, step * self._cos_y, step * self._sin_y, nothing, plan_y, in_y)
+        cosine(in_x, 0, 0, width, one_y, plan_y, in_x)
+        cosine(in_y, 1, 0, height, one_x, plan_x, in_y)
+        # ... where the system is a division; and the same way back, to u and its derivatives.
+        multiply_sum(in_x, in_y, inverse)
+        cosine_back(in_x, 1, 0, height, one_x, plan_x, in_y)
+        cosine_back(in_x, 0, 0, width, one_y, plan_y, in_x)
+        cosine_back(in_x, 1, 0, height, one_x, plan_x, u)
+        derivatives(in_x, 1, 0, height, self._cos_x, self._sin_x, plan_x, du)
+        derivatives(in_y, 0, 0, width, self._cos_y, self._sin_y, plan_y, du)
+
+    @staticmethod
+    def _derivatives(coefficients: Array, cosine: Array, sine: Array, axis: int, out: Array) -> None:
+        even = _idct(coefficients * cosine, axis)
+        odd = _idst(coefficients * sine, axis)
+        np.subtract(even, odd, out=out[0])
+        np.add(even, odd, out=out[1])
+
+    @staticmethod
+    def _adjoint_coefficients(d: Array, cosine: Array, sine: Array, axis: int) -> Array:
+        coefficients: Array = cosine * _dct(d[0] + d[1], axis)
+        coefficients += sine * _dst(d[1] - d[0], axis)
+        return coefficients
+
+
+class NaturalGradient(_CosineGradient):
+    """Forward differences without flux through the border: the gradient of Algorithm 3 and of TV-L1."""
+
+    def apply(self, u: Array) -> Array:
+        d = np.zeros(self.range_shape, self.dtype)
+        np.subtract(u[:, 1:], u[:, :-1], out=d[0, 0, :, :-1])
+        np.subtract(u[1:], u[:-1], out=d[0, 1, :-1])
+        return d
+
+    def adjoint(self, d: Array) -> Array:
+        result = np.zeros(self.shape, self.dtype)
+        dx, dy = d[0, 0, :, :-1], d[0, 1, :-1]
+        result[:, 1:] += dx
+        result[:, :-1] -= dx
+        result[1:] += dy
+        result[:-1] -= dy
+        return result
+
+    def solve(self, v: Array, g: Array, theta: float, mu: float, inverse: Array, u: Array, du: Array) -> None:
+        height, width = self.shape
+        real = self.dtype.type
+        for component in range(2):
+            np.multiply(v[component], real(1.0 / theta), out=u[component])
+            u[component] += real(mu) * self.adjoint(g[component])
+        cosine(u, 1, 0, height, self._one_x, self._plan_x, u)
+        cosine(u, 0, 0, width, self._one_y, self._plan_y, u)
+        u *= inverse
+        cosine_back(u, 0, 0, width, self._one_y, self._plan_y, u)
+        cosine_back(u, 1, 0, height, self._one_x, self._plan_x, u)
+        for component in range(2):
+            du[component] = self.apply(u[component])
+
+
+def _dct(x: Array, axis: int) -> Array:
+    return scipy.fft.dct(x, type=2, norm="ortho", axis=axis, workers=1)
+
+
+def _idct(x: Array, axis: int) -> Array:
+    return scipy.fft.idct(x, type=2, norm="ortho", axis=axis, workers=1)
+
+
+def _dst(x: Array, axis: int) -> Array:
+    # DST-II numbers its frequencies 1..n; shift them to the DCT's 0..n-1 (frequency 0 has no sine).
+    result = np.roll(scipy.fft.dst(x, type=2, norm="ortho", axis=axis, workers=1), 1, axis=axis)
+    result[(slice(None),) * axis + (0,)] = 0.0
+    return result
+
+
+def _idst(x: Array, axis: int) -> Array:
+    # The coefficient of frequency 0 is 0 and comes to stand for frequency n, which a cosine series lacks.
+    return scipy.fft.idst(np.roll(x, -1, axis=axis), type=2, norm="ortho", axis=axis, workers=1)
