@@ -144,7 +144,8 @@ def _put_turned(work: Array, row: int, x: Lanes, y: Lanes, twiddles: Array, k: i
 def fourier(work: Array, base: int, plan: LinePlan) -> None:
     """Transform the rows `base`, `base` + 1, ... of `work` in place; ``plan.results`` says what then is where."""
     n = plan.results.size
-    rest, first_twiddle, first_root = n, 0, 0
+    zero = int(np.intp(0))  # a literal 0 would have every pass compiled twice, once for it
+    rest, first_twiddle, first_root = n, zero, zero
     for radix in plan.radices:
         rest //= radix
         for start in range(base, base + n, radix * rest):

@@ -165,12 +165,12 @@ def cosine(x: Array, axis: int, start: int, stop: int, factor: Array, plan: Line
     out : ndarray, shape (2, H, W), C-contiguous
         Coefficients; may be `x`.
     """
-    work = np.empty((2 * plan.results.size, LANES), x.dtype)
+    work, base = np.empty((2 * plan.results.size, LANES), x.dtype), int(np.intp(0))  # as in `fourier`
     for first in range(start, stop, LANES):
         for component in range(2):
             _gather(x[component], axis, first, plan.forth, work, component)
-        fourier(work, 0, plan)
-        _from_fourier(work, 0, plan, factor, False)
+        fourier(work, base, plan)
+        _from_fourier(work, base, plan, factor, False)
         for component in range(2):
             _scatter(work, component, plan.results, out[component], axis, first)
 
@@ -178,12 +178,12 @@ def cosine(x: Array, axis: int, start: int, stop: int, factor: Array, plan: Line
 @jit
 def cosine_back(x: Array, axis: int, start: int, stop: int, factor: Array, plan: LinePlan, out: Array) -> None:
     """Write the lines whose cosine coefficients are ``factor(k) x(k)``; parameters as for `cosine`."""
-    work = np.empty((2 * plan.results.size, LANES), x.dtype)
+    work, base = np.empty((2 * plan.results.size, LANES), x.dtype), int(np.intp(0))  # as in `fourier`
     for first in range(start, stop, LANES):
         for component in range(2):
             _gather(x[component], axis, first, plan.natural, work, component)
-        _to_fourier(work, 0, plan, factor, False)
-        fourier(work, 0, plan)
+        _to_fourier(work, base, plan, factor, False)
+        fourier(work, base, plan)
         for component in range(2):
             _scatter(work, 1 - component, plan.back, out[component], axis, first)
 
