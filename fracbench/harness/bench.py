@@ -46,7 +46,8 @@ def _ours() -> list[Contender]:
         for boundary in ("reflect", "zero")
         for alpha in ("1", "1.2", "1.7")
     ]
-    fast = {"u_solver": "exact", "inner": "warm", "coupling": "multiplier"}
+    own = FlowParams()
+    fast = {name: getattr(own, name) for name in ("u_solver", "inner", "coupling", "epsilon", "max_iter")}
     return [Contender("tvl1", "tvl1"), Contender("tvl1_sb", "tvl1_sb", fast), *fractional]
 
 

@@ -72,7 +72,7 @@ class FlowParams:
         1.1, "order of the fractional gradient", symbol=r"\alpha", paper_range="[0, 2]", low=0.0, high=2.0
     )
     epsilon: float = _param(
-        0.02, "stopping threshold on the change of the flow, pixels", symbol=r"\epsilon", paper_range="0.01",
+        0.03, "stopping threshold on the change of the flow, pixels", symbol=r"\epsilon", paper_range="0.01",
         low=0.0,
     )  # fmt: skip
     eta: float = _param(
@@ -86,7 +86,7 @@ class FlowParams:
         5, "number of warps (linearisations) a scale", symbol=r"N_{warps}", paper_range="[3, 5]", low=1
     )
     max_iter: int = _param(
-        300, "largest number of iterations a warp", symbol=r"N_{maxitr}", paper_range="not given", low=1
+        6, "largest number of iterations a warp", symbol=r"N_{maxitr}", paper_range="not given", low=1
     )
     presmoothing: float = _param(
         0.6, "standard deviation of the Gaussian on both frames, pixels", symbol=r"\sigma_0",
