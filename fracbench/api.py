@@ -5,11 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy.typing as npt
+from threadpoolctl import threadpool_limits
 
 from fracbench.data.gray import to_gray
 from fracbench.methods.registry import get_method
 from fracbench.model.estimator import FlowResult, check_frames
 from fracbench.model.params import FlowParams
+from fracbench.model.threads import use_threads
 
 DEFAULT_METHOD = "tvl1_sb_alpha"
 
@@ -20,6 +22,7 @@ def estimate_flow(
     *,
     method: str = DEFAULT_METHOD,
     trace: bool = False,
+    threads: int = 1,
     **params: Any,
 ) -> FlowResult:
     """Estimate the optical flow from `frame0` to `frame1`.
@@ -36,6 +39,9 @@ def estimate_flow(
         Name in the registry; ``fracbench methods`` lists them.
     trace : bool, optional
         Record the energy E(u, v) after each iteration (slow).
+    threads : int, optional
+        Threads of the solver and of BLAS; the flow does not depend on their number, but for the rounding of
+        BLAS under ``boundary="zero"``. The peers have threads of their own.
     **params
         Parameters of `FlowParams`, e.g. ``alpha=1.2``, ``lambda_=0.5``.
 
@@ -48,7 +54,7 @@ def estimate_flow(
     ------
     InputError
         Frames that differ in size, are too small or not finite; an unknown parameter or method; a value
-        outside its range.
+        outside its range; fewer than one thread.
 
     Examples
     --------
@@ -63,4 +69,5 @@ def estimate_flow(
     settings = FlowParams().replace(chosen.defaults).replace(params)
     gray0, gray1 = to_gray(frame0, name="frame0"), to_gray(frame1, name="frame1")
     check_frames(gray0, gray1)
-    return chosen.estimate(gray0, gray1, settings, trace=trace)
+    with use_threads(threads), threadpool_limits(threads):
+        return chosen.estimate(gray0, gray1, settings, trace=trace)

@@ -136,6 +136,7 @@ def _build_parser() -> argparse.ArgumentParser:
     )
     estimate.add_argument("--color", type=Path, help="colour picture (default: beside the flow, .color.png)")
     estimate.add_argument("--truth", type=Path, help="true flow, .flo or KITTI .png: print the errors")
+    estimate.add_argument("--threads", type=int, default=1, help="threads (default: 1)")
     estimate.add_argument("--method", default=None, help="see `fracbench methods`")
     estimate.add_argument(
         "overrides", nargs="*", metavar="KEY=VALUE", help="parameters, e.g. alpha=1.2 lambda=0.5"
@@ -147,7 +148,7 @@ def _build_parser() -> argparse.ArgumentParser:
     check.add_argument("--reason", default="", help="why they change; recorded beside them")
     bench = add("bench", _bench, "time the methods and the peers that are installed, interleaved, warm")
     bench.add_argument("--repeats", type=int, default=5, help="timed rounds; the median counts (default: 5)")
-    bench.add_argument("--threads", type=int, default=1, help="threads of BLAS and of the peers (default: 1)")
+    bench.add_argument("--threads", type=int, default=1, help="of the solver, BLAS and OpenCV (default: 1)")
     bench.add_argument("--only", default="", metavar="NAME,...", help="contenders, by beginning of name")
     _add_overrides(bench, grid=False)
     data = add("data", _data, "say where the Middlebury data are and whether they are whole; fetch them")
@@ -280,6 +281,7 @@ def _estimate(arguments: argparse.Namespace) -> int:
         color=arguments.color,
         truth=arguments.truth,
         method=arguments.method,
+        threads=arguments.threads,
         overrides=arguments.overrides,
     )
     return EXIT_DONE

@@ -274,7 +274,7 @@ def bench(tokens: Sequence[str], *, repeats: int, threads: int, only: Sequence[s
     repeats : int
         Timed rounds.
     threads : int
-        Threads of BLAS and of the peers.
+        Threads of the solver, of BLAS and of OpenCV.
     only : sequence of str
         Contenders, by beginning of name; all if empty.
 
@@ -357,6 +357,7 @@ def estimate_files(
     color: Path | None = None,
     truth: Path | None = None,
     method: str | None = None,
+    threads: int = 1,
     overrides: Sequence[str] = (),
 ) -> None:
     """Compute the flow between two image files and write it.
@@ -373,6 +374,8 @@ def estimate_files(
         True flow; its errors are printed.
     method : str, optional
         Name in the registry.
+    threads : int, optional
+        Threads of the solver.
     overrides : sequence of str, optional
         Parameters as ``KEY=VALUE``.
 
@@ -399,7 +402,7 @@ def estimate_files(
             f"{truth}: the true flow is {expected.shape[2]} x {expected.shape[1]}, the frames are "
             f"{first.shape[1]} x {first.shape[0]} (width x height)"
         )
-    result = estimate_flow(first, second, method=method or DEFAULT_METHOD, **values)
+    result = estimate_flow(first, second, method=method or DEFAULT_METHOD, threads=threads, **values)
     preset = "preset recommended" if not overrides else f"preset recommended with {' '.join(overrides)}"
     _say_result(result, preset)
     if expected is not None:

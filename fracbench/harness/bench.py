@@ -114,7 +114,7 @@ def run(
     repeats : int
         Timed rounds; the median counts. A round runs every contender once on every sequence.
     threads : int
-        Threads of BLAS and of the peers.
+        Threads of the solver, of BLAS and of OpenCV.
     on_lap : callable, optional
         Called after each timed estimate.
 
@@ -127,12 +127,13 @@ def run(
 
     from fracbench.evaluation.metrics import flow_errors
     from fracbench.methods import peers
+    from fracbench.model.threads import use_threads
 
     plan = make_plan((*tokens, "protocol=recommended"))
     seconds: dict[tuple[str, str], list[float]] = {}
     records: dict[tuple[str, str], dict[str, Any]] = {}
     peers.opencv_threads = threads
-    with threadpool_limits(threads):
+    with use_threads(threads), threadpool_limits(threads):
         for round_number in range(repeats + 1):  # round 0 warms up: compilation, caches
             for planned in plan.points:
                 frame0, frame1, truth, inner = point_arrays(planned.point, plan.folder)

@@ -62,6 +62,8 @@ def coupled_threshold(
     relaxation: float,
     c: Array,
     target: Array,
+    start: int,
+    stop: int,
 ) -> None:
     """Take the v-step with a multiplier `c` on the constraint that the data term and R see one flow (ADMM).
 
@@ -86,11 +88,13 @@ def coupled_threshold(
         Multiplier, overwritten.
     target : ndarray, shape (2, H, W)
         The last target, overwritten by the next: what the u-step regularises.
+    start, stop : int
+        The rows of the image to take.
     """
     share = step / (step + theta)
     lambda_theta = lambda_ * (theta + step)
-    _, height, width = u.shape
-    for i in range(height):
+    width = u.shape[2]
+    for i in range(start, stop):
         for j in range(width):
             gx, gy = gradient[0, i, j], gradient[1, i, j]
             c1, c2 = c[0, i, j], c[1, i, j]

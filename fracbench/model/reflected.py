@@ -10,6 +10,7 @@ import scipy.fft
 from fracbench.model.arrays import Array, Float64Array
 from fracbench.model.fourier import line_plan
 from fracbench.model.gradient import GradientOperator
+from fracbench.model.threads import share
 from fracbench.model.transforms import cosine, cosine_back, derivatives, derivatives_adjoint, multiply_sum
 
 
@@ -89,17 +90,20 @@ class ReflectGradient(_CosineGradient):
         step, direct, nothing = real(mu * self.weight), one_x / real(theta), one_x[:0]
         in_x, in_y = self._work
         # The right-hand side, first along each axis alone, then both in the basis of both axes ...
-        derivatives_adjoint(g, v, 1, 0, height, step * self._cos_x, step * self._sin_x, direct, plan_x, in_x)
-        derivatives_adjoint(g, v, 0, 0, width, step * self._cos_y, step * self._sin_y, nothing, plan_y, in_y)
-        cosine(in_x, 0, 0, width, one_y, plan_y, in_x)
-        cosine(in_y, 1, 0, height, one_x, plan_x, in_y)
+        cos_x, sin_x, cos_y, sin_y = self._cos_x, self._sin_x, self._cos_y, self._sin_y
+        to_x = step * cos_x, step * sin_x, direct, plan_x
+        to_y = step * cos_y, step * sin_y, nothing, plan_y
+        share(lambda a, b: derivatives_adjoint(g, v, 1, a, b, *to_x, in_x), height)
+        share(lambda a, b: derivatives_adjoint(g, v, 0, a, b, *to_y, in_y), width)
+        share(lambda a, b: cosine(in_x, 0, a, b, one_y, plan_y, in_x), width)
+        share(lambda a, b: cosine(in_y, 1, a, b, one_x, plan_x, in_y), height)
         # ... where the system is a division; and the same way back, to u and its derivatives.
         multiply_sum(in_x, in_y, inverse)
-        cosine_back(in_x, 1, 0, height, one_x, plan_x, in_y)
-        cosine_back(in_x, 0, 0, width, one_y, plan_y, in_x)
-        cosine_back(in_x, 1, 0, height, one_x, plan_x, u)
-        derivatives(in_x, 1, 0, height, self._cos_x, self._sin_x, plan_x, du)
-        derivatives(in_y, 0, 0, width, self._cos_y, self._sin_y, plan_y, du)
+        share(lambda a, b: cosine_back(in_x, 1, a, b, one_x, plan_x, in_y), height)
+        share(lambda a, b: cosine_back(in_x, 0, a, b, one_y, plan_y, in_x), width)
+        share(lambda a, b: cosine_back(in_x, 1, a, b, one_x, plan_x, u), height)
+        share(lambda a, b: derivatives(in_x, 1, a, b, cos_x, sin_x, plan_x, du), height)
+        share(lambda a, b: derivatives(in_y, 0, a, b, cos_y, sin_y, plan_y, du), width)
 
     @staticmethod
     def _derivatives(coefficients: Array, cosine: Array, sine: Array, axis: int, out: Array) -> None:
@@ -139,11 +143,12 @@ class NaturalGradient(_CosineGradient):
         for component in range(2):
             np.multiply(v[component], real(1.0 / theta), out=u[component])
             u[component] += real(mu) * self.adjoint(g[component])
-        cosine(u, 1, 0, height, self._one_x, self._plan_x, u)
-        cosine(u, 0, 0, width, self._one_y, self._plan_y, u)
+        plan_y, plan_x, one_y, one_x = self._plan_y, self._plan_x, self._one_y, self._one_x
+        share(lambda a, b: cosine(u, 1, a, b, one_x, plan_x, u), height)
+        share(lambda a, b: cosine(u, 0, a, b, one_y, plan_y, u), width)
         u *= inverse
-        cosine_back(u, 0, 0, width, self._one_y, self._plan_y, u)
-        cosine_back(u, 1, 0, height, self._one_x, self._plan_x, u)
+        share(lambda a, b: cosine_back(u, 0, a, b, one_y, plan_y, u), width)
+        share(lambda a, b: cosine_back(u, 1, a, b, one_x, plan_x, u), height)
         for component in range(2):
             du[component] = self.apply(u[component])
 

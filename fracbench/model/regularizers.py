@@ -21,6 +21,7 @@ from fracbench.model.linear import (
 )
 from fracbench.model.proximal import mean_squared_change, shrink_update
 from fracbench.model.reflected import NaturalGradient
+from fracbench.model.threads import LEAST_PIXELS, share
 
 
 class Regularizer(Protocol):
@@ -202,7 +203,12 @@ class SplitBregman:
             for component in range(2):
                 self._sweep(component, v[component], out[component])
         pairs = self._z.reshape(-1, *self._z.shape[2:])
-        shrink_update(self._w.reshape(pairs.shape), pairs, 1.0 / self._mu, relaxation)
+        w, gamma = self._w.reshape(pairs.shape), 1.0 / self._mu
+        share(
+            lambda a, b: shrink_update(w[a:b], pairs[a:b], gamma, relaxation),
+            len(pairs),
+            least=1 + LEAST_PIXELS // w[0].size,
+        )
         return 1
 
     def _iterate(self, component: int, v: Array, out: Array) -> int:

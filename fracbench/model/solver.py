@@ -14,6 +14,7 @@ from fracbench.model.energy import energy
 from fracbench.model.params import FlowParams
 from fracbench.model.proximal import coupled_threshold, mean_squared_change, threshold
 from fracbench.model.regularizers import Regularizer
+from fracbench.model.threads import share
 from fracbench.model.warping import Linearization, central_gradient, linearize
 
 
@@ -128,7 +129,9 @@ class MultiplierStep:
         p = self._params
         relaxation = 1.0 if self._fresh else p.relaxation
         self._fresh = False
-        coupled_threshold(u, *linear, p.lambda_, p.theta, p.coupling_step, relaxation, self._c, self._target)
+        settings = p.lambda_, p.theta, p.coupling_step, relaxation
+        state = self._c, self._target
+        share(lambda a, b: coupled_threshold(u, *linear, *settings, *state, a, b), u.shape[1])
         return self._target
 
 
@@ -177,7 +180,7 @@ def solve_level(
     for _ in range(params.n_warps):
         if params.relinearise:
             u0 = u
-        linearize(frame0, frame1, gradient1, u0, *linear)
+        share(lambda a, b, at=u0: linearize(frame0, frame1, gradient1, at, *linear, a, b), len(frame0))
         v_step.relinearised()
         watch.lap("warping")
         if params.dual_restart:

@@ -94,7 +94,16 @@ def _sample(image: Array, top: int, left: int, wx: tuple[Any, ...], wy: tuple[An
 
 
 @jit
-def linearize(frame0: Array, frame1: Array, gradient1: Array, u0: Array, rho_c: Array, gradient: Array) -> None:
+def linearize(
+    frame0: Array,
+    frame1: Array,
+    gradient1: Array,
+    u0: Array,
+    rho_c: Array,
+    gradient: Array,
+    start: int,
+    stop: int,
+) -> None:
     """Warp `frame1` and its gradient by `u0` and form the residual's constant part.
 
     A pixel whose 4 x 4 stencil leaves the image counts as 0 in the frame and in the gradient, so that the
@@ -112,10 +121,12 @@ def linearize(frame0: Array, frame1: Array, gradient1: Array, u0: Array, rho_c: 
         Output, see `Linearization`.
     gradient : ndarray, shape (2, H, W)
         Output, see `Linearization`.
+    start, stop : int
+        The rows of the image to take.
     """
     height, width = frame0.shape
     real = frame0.dtype.type
-    for i in range(height):
+    for i in range(start, stop):
         for j in range(width):
             x = j + float(u0[0, i, j])
             y = i + float(u0[1, i, j])

@@ -124,7 +124,7 @@ def test_coupled_threshold_is_the_separate_steps(rng, relaxation):
     w, c = rng.normal(size=(2, *u.shape))
     expected_w, expected_c = ref.multiplier_step(u, w, c, rho_c, gradient, LAMBDA, THETA, 2.0, relaxation)
     target = w - c
-    coupled_threshold(u, rho_c, gradient, LAMBDA, THETA, 2.0, relaxation, c, target)
+    coupled_threshold(u, rho_c, gradient, LAMBDA, THETA, 2.0, relaxation, c, target, 0, u.shape[1])
     np.testing.assert_allclose(c, expected_c, atol=1e-11)
     np.testing.assert_allclose(target, expected_w - expected_c, atol=1e-11)
 
@@ -134,7 +134,7 @@ def test_coupled_threshold_solves_its_own_problem(rng):
     u, rho_c, gradient = data(rng)
     c, step = rng.normal(size=u.shape), 2.0
     z, target = u + c, np.zeros_like(u)
-    coupled_threshold(u, rho_c, gradient, LAMBDA, THETA, step, 1.0, c, target)
+    coupled_threshold(u, rho_c, gradient, LAMBDA, THETA, step, 1.0, c, target, 0, u.shape[1])
 
     def objective(w):
         v = ref.threshold(w, rho_c, gradient, LAMBDA, THETA)

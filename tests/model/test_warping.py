@@ -25,7 +25,7 @@ def quadratic(x, y):
 
 def linearized(frame0, frame1, u0):
     linear = Linearization(np.full(frame0.shape, np.nan), np.full((2, *frame0.shape), np.nan))
-    linearize(frame0, frame1, central_gradient(frame1), u0, *linear)
+    linearize(frame0, frame1, central_gradient(frame1), u0, *linear, 0, len(frame0))
     return linear
 
 

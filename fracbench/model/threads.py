@@ -1,0 +1,70 @@
+"""Threads that share the lines of one image; the results do not depend on their number."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import lru_cache
+
+from fracbench.errors import InputError
+from fracbench.model._lanes import LANES
+
+#: Fewer lines, or pixels, than this are not worth waking a thread for.
+LEAST_LINES = 64
+LEAST_PIXELS = 64 * 64
+
+_threads: ContextVar[int] = ContextVar("threads", default=1)
+
+
+@contextmanager
+def use_threads(number: int) -> Iterator[None]:
+    """Let the solver use several threads within a ``with`` block; one by default.
+
+    Parameters
+    ----------
+    number : int
+        Threads.
+
+    Raises
+    ------
+    InputError
+        Fewer than one.
+    """
+    if number < 1:
+        raise InputError(f"`threads` must be at least 1, got {number}")
+    token = _threads.set(number)
+    try:
+        yield
+    finally:
+        _threads.reset(token)
+
+
+@lru_cache(maxsize=1)
+def _pool(workers: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(workers, "fracbench")
+
+
+def share(work: Callable[[int, int], object], lines: int, least: int = LEAST_LINES) -> None:
+    """Call ``work(start, stop)`` for ranges that make up ``0..lines-1``, at the same time.
+
+    Parameters
+    ----------
+    work : callable
+        A compiled loop over lines, which releases the GIL and writes each line independently of the others.
+    lines : int
+        Number of lines.
+    least : int, optional
+        Smallest range worth a thread of its own.
+    """
+    parts = min(_threads.get(), max(1, lines // least))
+    if parts == 1:
+        work(0, lines)
+        return
+    grain = LANES if least >= LANES else 1
+    cuts = [grain * (lines * part // (parts * grain)) for part in range(parts)] + [lines]
+    others = [_pool(parts - 1).submit(work, a, b) for a, b in zip(cuts[1:-1], cuts[2:], strict=True)]
+    work(cuts[0], cuts[1])
+    for other in others:
+        other.result()

@@ -1,0 +1,67 @@
+"""Threads share the lines; the flow does not depend on their number."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+
+from fracbench import estimate_flow
+from fracbench.errors import InputError
+from fracbench.model._lanes import LANES
+from fracbench.model.threads import share, use_threads
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3, 5])
+@pytest.mark.parametrize(("lines", "least"), [(1, 64), (130, 64), (200, 8), (4, 1), (641, 64)])
+def test_every_line_is_taken_once(threads, lines, least):
+    taken = np.zeros(lines, int)
+    starts = []
+
+    def work(start, stop):
+        starts.append(start)
+        taken[start:stop] += 1
+
+    with use_threads(threads):
+        share(work, lines, least)
+    np.testing.assert_array_equal(taken, 1)
+    assert len(starts) == min(threads, max(1, lines // least))
+    if least >= LANES:
+        assert all(start % LANES == 0 for start in starts)
+
+
+def test_ranges_run_at_the_same_time():
+    meeting = threading.Barrier(2, timeout=30)  # breaks if one range waits for the other
+    with use_threads(2):
+        share(lambda a, b: meeting.wait(), 2, least=1)
+
+
+def test_an_error_in_any_thread_is_raised():
+    def work(start, stop):
+        if start:
+            raise ValueError("in the second range")
+
+    with use_threads(2), pytest.raises(ValueError, match="in the second range"):
+        share(work, 2, least=1)
+
+
+@pytest.mark.parametrize(("method", "boundary"), [("tvl1_sb_alpha", "reflect"), ("tvl1_sb", None), ("tvl1", None)])
+def test_the_flow_does_not_depend_on_the_number_of_threads(method, boundary):
+    rng = np.random.default_rng(2)
+    frame0 = rng.uniform(0, 255, (150, 210))
+    frame1 = np.roll(frame0, 1, axis=1)
+    settings = {} if boundary is None else {"boundary": boundary, "alpha": 1.3}
+    flows = [
+        estimate_flow(frame0, frame1, method=method, threads=n, n_warps=2, max_iter=4, **settings).flow
+        for n in (1, 2, 3)
+    ]
+    np.testing.assert_array_equal(flows[1], flows[0])
+    np.testing.assert_array_equal(flows[2], flows[0])
+
+
+@pytest.mark.parametrize("threads", [0, -1])
+def test_fewer_than_one_thread_is_refused(threads):
+    frame = np.zeros((20, 20))
+    with pytest.raises(InputError, match=f"`threads` must be at least 1, got {threads}"):
+        estimate_flow(frame, frame, threads=threads)
