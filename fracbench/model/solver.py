@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import defaultdict
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -180,7 +181,7 @@ def solve_level(
     for _ in range(params.n_warps):
         if params.relinearise:
             u0 = u
-        share(lambda a, b, at=u0: linearize(frame0, frame1, gradient1, at, *linear, a, b), len(frame0))
+        share(partial(_linearize_rows, (frame0, frame1, gradient1, u0, *linear)), len(frame0))
         v_step.relinearised()
         watch.lap("warping")
         if params.dual_restart:
@@ -191,6 +192,10 @@ def solve_level(
         if report.stop[-1] == "diverged":
             break
     return u, report
+
+
+def _linearize_rows(arrays: tuple[Array, ...], start: int, stop: int) -> None:
+    linearize(*arrays, start, stop)
 
 
 def _alternate(

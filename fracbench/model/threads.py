@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import lru_cache
+from itertools import pairwise
 
 from fracbench.errors import InputError
 from fracbench.model._lanes import LANES
@@ -64,7 +65,7 @@ def share(work: Callable[[int, int], object], lines: int, least: int = LEAST_LIN
         return
     grain = LANES if least >= LANES else 1
     cuts = [grain * (lines * part // (parts * grain)) for part in range(parts)] + [lines]
-    others = [_pool(parts - 1).submit(work, a, b) for a, b in zip(cuts[1:-1], cuts[2:], strict=True)]
+    others = [_pool(parts - 1).submit(work, a, b) for a, b in pairwise(cuts[1:])]
     work(cuts[0], cuts[1])
     for other in others:
         other.result()
