@@ -21,17 +21,16 @@ def tvl1(frame0: Array, frame1: Array, params: FlowParams, *, trace: bool = Fals
 
 def tvl1_sb(frame0: Array, frame1: Array, params: FlowParams, *, trace: bool = False) -> FlowResult:
     """Compute TV-L1-SB flow (Algorithm 3)."""
-    return coarse_to_fine(frame0, frame1, params, _split_bregman, _v_step, method="tvl1_sb", trace=trace)
+    return coarse_to_fine(frame0, frame1, params, _split_bregman, v_step, method="tvl1_sb", trace=trace)
 
 
 def tvl1_sb_alpha(frame0: Array, frame1: Array, params: FlowParams, *, trace: bool = False) -> FlowResult:
     """Compute TV-L1-SB-alpha flow (Algorithm 4)."""
-    return coarse_to_fine(
-        frame0, frame1, params, _split_bregman_alpha, _v_step, method="tvl1_sb_alpha", trace=trace
-    )
+    return coarse_to_fine(frame0, frame1, params, split_bregman_alpha, v_step, method="tvl1_sb_alpha", trace=trace)
 
 
-def _v_step(like: Array, params: FlowParams) -> VStep:
+def v_step(like: Array, params: FlowParams) -> VStep:
+    """Return the v-step that `params` ask for, for a scale of the shape of the flow `like`."""
     return MultiplierStep(like, params) if params.coupling == "multiplier" else PenaltyStep(like, params)
 
 
@@ -43,7 +42,8 @@ def _split_bregman(params: FlowParams, shape: tuple[int, int], dtype: np.dtype) 
     return _bregman(NaturalGradient(1.0, shape, dtype), params)
 
 
-def _split_bregman_alpha(params: FlowParams, shape: tuple[int, int], dtype: np.dtype) -> Regularizer:
+def split_bregman_alpha(params: FlowParams, shape: tuple[int, int], dtype: np.dtype) -> Regularizer:
+    """Return the u-step of Algorithm 4 that `params` ask for, for a scale of this shape."""
     return _bregman(make_operator(params.boundary, params.alpha, shape, dtype, params.pad), params)
 
 

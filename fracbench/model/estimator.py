@@ -106,9 +106,9 @@ def coarse_to_fine(
     watch = Stopwatch()
     dtype = np.dtype(params.dtype)
     shapes = pyramid.scale_shapes(frame0.shape, params.eta, params.n_scales)
-    stretched = pyramid.stretch(frame0, frame1, dtype)
     pyramids = [
-        pyramid.build(pyramid.smooth(frame, params.presmoothing), shapes, params.eta) for frame in stretched
+        pyramid.build(pyramid.smooth(frame, params.presmoothing), shapes, params.eta)
+        for frame in pyramid.stretch(frame0, frame1, dtype)
     ]
     watch.lap("pyramid")
     flow = np.zeros((2, *shapes[-1]), dtype)

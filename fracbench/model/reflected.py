@@ -65,7 +65,7 @@ class ReflectGradient(_CosineGradient):
         super().__init__(alpha, shape, dtype)
         self._cos_y, self._sin_y = self._multipliers(shape[0])
         self._cos_x, self._sin_x = self._multipliers(shape[1])
-        self._work = np.empty((2, 2, *shape), self.dtype)
+        self._work = np.empty((2, *shape), self.dtype)
 
     def _multipliers(self, n: int) -> tuple[Array, Array]:
         modulus = _sine_symbol(n) ** self.alpha
@@ -88,7 +88,7 @@ class ReflectGradient(_CosineGradient):
         plan_y, plan_x, one_y, one_x = self._plan_y, self._plan_x, self._one_y, self._one_x
         real = self.dtype.type
         step, direct, nothing = real(mu * self.weight), one_x / real(theta), one_x[:0]
-        in_x, in_y = self._work
+        in_x, in_y = self._work, u  # u itself is written last
         # The right-hand side, first along each axis alone, then both in the basis of both axes ...
         cos_x, sin_x, cos_y, sin_y = self._cos_x, self._sin_x, self._cos_y, self._sin_y
         to_x = step * cos_x, step * sin_x, direct, plan_x
@@ -101,9 +101,9 @@ class ReflectGradient(_CosineGradient):
         multiply_sum(in_x, in_y, inverse)
         share(lambda a, b: cosine_back(in_x, 1, a, b, one_x, plan_x, in_y), height)
         share(lambda a, b: cosine_back(in_x, 0, a, b, one_y, plan_y, in_x), width)
-        share(lambda a, b: cosine_back(in_x, 1, a, b, one_x, plan_x, u), height)
-        share(lambda a, b: derivatives(in_x, 1, a, b, cos_x, sin_x, plan_x, du), height)
         share(lambda a, b: derivatives(in_y, 0, a, b, cos_y, sin_y, plan_y, du), width)
+        share(lambda a, b: derivatives(in_x, 1, a, b, cos_x, sin_x, plan_x, du), height)
+        share(lambda a, b: cosine_back(in_x, 1, a, b, one_x, plan_x, u), height)
 
     @staticmethod
     def _derivatives(coefficients: Array, cosine: Array, sine: Array, axis: int, out: Array) -> None:

@@ -194,7 +194,7 @@ def solve_level(
     return u, report
 
 
-def _linearize_rows(arrays: tuple[Array, ...], start: int, stop: int) -> None:
+def _linearize_rows(arrays: tuple[Array, Array, Array, Array, Array, Array], start: int, stop: int) -> None:
     linearize(*arrays, start, stop)
 
 

@@ -16,6 +16,7 @@ from fracbench.harness.store import Row
 from fracbench.report import paper, tables
 from fracbench.report.alpha_regions import alpha_regions
 from fracbench.report.base import Artefact, Renderer, best_values, file_stem
+from fracbench.report.convergence import convergence
 from fracbench.report.protocol_study import protocol_study
 from fracbench.report.solver_study import solver_study
 
@@ -153,6 +154,7 @@ def _is_logarithmic(values: pd.Series) -> bool:
 
 RENDERERS: dict[str, Renderer] = {
     "alpha_regions": alpha_regions,
+    "convergence": convergence,
     "family": paper.family,
     "frames": paper.frames,
     "protocol_study": protocol_study,

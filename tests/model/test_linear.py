@@ -4,8 +4,15 @@ import numpy as np
 import pytest
 import reference_impl as ref
 
-from fracbench.model.fractional import NaturalGradient, ZeroGradient, make_operator
-from fracbench.model.linear import gauss_seidel_dense, gauss_seidel_natural, inverse_eigenvalues, jacobi_sweep
+from fracbench.model.fractional import ZeroGradient, gl_weights, make_operator
+from fracbench.model.linear import (
+    gauss_seidel_dense,
+    gauss_seidel_literal,
+    gauss_seidel_natural,
+    inverse_eigenvalues,
+    jacobi_sweep,
+)
+from fracbench.model.reflected import NaturalGradient
 
 THETA, MU = 0.3, 5.0
 CASES = [
@@ -68,6 +75,16 @@ def test_gauss_seidel_dense_is_algorithm_4_with_corrected_signs(rng, alpha, pad)
     expected = ref.gauss_seidel_alpha(u, rhs, alpha, THETA, MU, pad)
     sweep(operator, u, rhs)
     np.testing.assert_allclose(u, expected, atol=1e-13)
+
+
+@pytest.mark.parametrize("alpha", [0.0, 0.6, 1.0, 1.4, 2.0])
+@pytest.mark.parametrize("shape", [(5, 4), (3, 7), (1, 1)])
+def test_the_double_sums_are_the_same_sweep(rng, alpha, shape):
+    literal, rhs = rng.normal(size=(2, *shape))
+    u = literal.copy()
+    sweep(ZeroGradient(alpha, shape), u, rhs)
+    gauss_seidel_literal(literal, rhs, gl_weights(alpha, max(shape)), THETA, MU)
+    np.testing.assert_allclose(literal, u, atol=1e-13)
 
 
 @pytest.mark.parametrize("alpha", [0.0, 0.6, 1.0, 1.4, 2.0])

@@ -1,0 +1,179 @@
+"""How fast solvers of one linearised problem come near its minimum: energy against iterations and seconds."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fracbench.methods.variational import split_bregman_alpha, v_step
+from fracbench.model.arrays import Array
+from fracbench.model.energy import energy
+from fracbench.model.fractional import gl_weights, make_operator
+from fracbench.model.linear import gauss_seidel_dense, gauss_seidel_literal
+from fracbench.model.params import FlowParams
+from fracbench.model.proximal import threshold
+from fracbench.model.warping import Linearization, central_gradient, linearize
+
+_PAPER = {"inner": "cold", "coupling": "penalty", "tol": 0.01, "max_inner": 30}
+#: The contestants: parameters by name, the paper's way first, the default last.
+SOLVERS: Mapping[str, Mapping[str, Any]] = {
+    "printed sweep, cold": {"u_solver": "jacobi", **_PAPER},
+    "Gauss-Seidel, cold": {"u_solver": "gauss_seidel", **_PAPER},
+    "Gauss-Seidel, warm": {"u_solver": "gauss_seidel", "inner": "warm", "coupling": "penalty"},
+    "exact, cold": {"u_solver": "exact", **_PAPER},
+    "exact, warm": {"u_solver": "exact", "inner": "warm", "coupling": "penalty"},
+    "exact, warm, multiplier": {"relaxation": 1.0},
+    "exact, warm, multiplier, over-relaxed (default)": {},
+}
+DEFAULT = "exact, warm, multiplier, over-relaxed (default)"
+#: Solvers whose sweeps the paper prints as double sums, and what they are called then.
+LITERAL = {name: f"{name}, by the printed double sums" for name in ("Gauss-Seidel, cold", "Gauss-Seidel, warm")}
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One linearised problem: minimise E(u, v) for frames linearised at a flow.
+
+    Attributes
+    ----------
+    linear : Linearization
+        The residual.
+    start : ndarray, shape (2, H, W)
+        The flow that every solver begins with.
+    params : FlowParams
+        The model: alpha, boundary, lambda, theta, lambda_sb.
+    """
+
+    linear: Linearization
+    start: Array
+    params: FlowParams
+
+
+def linearised_problem(frame0: Array, frame1: Array, at: Array, params: FlowParams) -> Problem:
+    """Linearise two frames at a flow.
+
+    Parameters
+    ----------
+    frame0, frame1 : ndarray, shape (H, W)
+        Frames, 0..255.
+    at : ndarray, shape (2, H, W)
+        Flow to linearise at; the solvers start from 0.
+    params : FlowParams
+        The model.
+
+    Returns
+    -------
+    Problem
+        In float64.
+    """
+    first, second, flow = (np.ascontiguousarray(array, np.float64) for array in (frame0, frame1, at))
+    gradient1 = central_gradient(second)
+    linear = Linearization(np.empty_like(first), np.empty_like(gradient1))
+    linearize(first, second, gradient1, flow, *linear, 0, len(first))
+    return Problem(linear, np.zeros_like(flow), params)
+
+
+def energy_at(problem: Problem, u: Array) -> float:
+    """Return E(u, v) at the best v for `u`, computed in float64."""
+    params, flow = problem.params, np.asarray(u, np.float64)
+    v = np.empty_like(flow)
+    threshold(flow, problem.linear.rho_c, problem.linear.gradient, params.lambda_ * params.theta, v)
+    operator = make_operator(params.boundary, params.alpha, flow.shape[1:])
+    return energy(operator, flow, v, problem.linear, params.lambda_, params.theta)
+
+
+def minimum(problem: Problem, iterations: int) -> float:
+    """Return the least energy of a long run of the default solver in float64."""
+    params = problem.params.replace({**SOLVERS[DEFAULT], "dtype": "float64"})
+    run = _Run(problem, params)
+    for _ in range(iterations):
+        run.step()
+    return energy_at(problem, run.u)
+
+
+def course(
+    problem: Problem, solver: Mapping[str, Any], least: float, *, gap: float, seconds: float, iterations: int
+) -> list[tuple[int, int, float, float]]:
+    """Run a solver until its energy is near the minimum.
+
+    Parameters
+    ----------
+    problem : Problem
+        What to minimise.
+    solver : mapping
+        Parameters, as in `SOLVERS`.
+    least : float
+        The minimum.
+    gap : float
+        Relative gap to stop at.
+    seconds, iterations : float, int
+        Limits.
+
+    Returns
+    -------
+    list of tuple
+        ``(iteration, u-steps of both components so far, seconds so far, relative gap)``; the energies are not
+        in the seconds. Iteration 0 is the start.
+    """
+    run = _Run(problem, problem.params.replace(solver))
+    run.step()  # compilation
+    run = _Run(problem, problem.params.replace(solver))
+    spent, inner = 0.0, 0
+    records = [(0, 0, 0.0, energy_at(problem, run.u) / least - 1.0)]
+    while records[-1][0] < iterations and spent < seconds and records[-1][3] > gap:
+        began = time.perf_counter()
+        inner += run.step()
+        spent += time.perf_counter() - began
+        records.append((records[-1][0] + 1, inner, spent, energy_at(problem, run.u) / least - 1.0))
+    return records
+
+
+class _Run:
+    """Algorithm 2's loop, one iteration at a time."""
+
+    def __init__(self, problem: Problem, params: FlowParams) -> None:
+        dtype = np.dtype(params.dtype)
+        self.u = problem.start.astype(dtype)
+        self._after = np.empty_like(self.u)
+        self._linear = Linearization(*(array.astype(dtype) for array in problem.linear))
+        height, width = self.u.shape[1:]
+        self._regularizer = split_bregman_alpha(params, (height, width), dtype)
+        self._v_step = v_step(self.u, params)
+
+    def step(self) -> int:
+        inner = self._regularizer.step(self._v_step.target(self.u, self._linear), self.u, self._after)
+        self.u, self._after = self._after, self.u
+        return inner if inner > 1 else 2
+
+
+def sweep_seconds(shape: tuple[int, int], params: FlowParams) -> tuple[float, float]:
+    """Time one Gauss-Seidel sweep of one component with dense matrices and by the printed double sums.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        ``(H, W)``.
+    params : FlowParams
+        alpha, theta, lambda_sb; the boundary is `zero`.
+
+    Returns
+    -------
+    dense, literal : float
+        Seconds a sweep, compilation excluded.
+    """
+    rng = np.random.default_rng(0)
+    rhs = rng.normal(size=shape).astype(params.dtype)
+    ny, nx = make_operator("zero", params.alpha, shape).normal_matrices()
+    weights = gl_weights(params.alpha, max(shape))
+    few = rhs[:4, :4].copy()
+    gauss_seidel_dense(few.copy(), few, ny[:4, :4].copy(), nx[:4, :4].copy(), 1.0, 1.0)  # compilation
+    gauss_seidel_literal(few.copy(), few, weights, 1.0, 1.0)
+    began = time.perf_counter()
+    gauss_seidel_dense(rhs.copy(), rhs, ny, nx, params.theta, params.lambda_sb)
+    middle = time.perf_counter()
+    gauss_seidel_literal(rhs.copy(), rhs, weights, params.theta, params.lambda_sb)
+    return middle - began, time.perf_counter() - middle
