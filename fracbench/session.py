@@ -264,50 +264,6 @@ def update_references(names: Sequence[str], reason: str, *, jobs: int) -> None:
             console.say(f"wrote {path}")
 
 
-def bench(tokens: Sequence[str], *, repeats: int, threads: int, only: Sequence[str]) -> None:
-    """Time the contenders, print the table, write CSV and picture below ``results/runs/bench``.
-
-    Parameters
-    ----------
-    tokens : sequence of str
-        Overrides that choose sequences, data set and paths.
-    repeats : int
-        Timed rounds.
-    threads : int
-        Threads of the solver, of BLAS and of OpenCV.
-    only : sequence of str
-        Contenders, by beginning of name; all if empty.
-
-    Raises
-    ------
-    InputError
-        Numbers below 1, unknown contenders.
-    """
-    if repeats < 1 or threads < 1:
-        raise InputError(f"bench: --repeats and --threads must be at least 1, got {repeats} and {threads}")
-    import pandas as pd
-
-    from fracbench.harness import bench as racing
-    from fracbench.harness.provenance import machine
-    from fracbench.report import benchmark, tables
-    from fracbench.report.style import save_figure
-
-    racers = racing.contenders(only)
-    plan = make_plan(tokens)
-    folder = tables.ensure_folder(plan.config.results / "runs" / "bench")
-    with console.progress(len(plan.points) * len(racers) * repeats, "bench") as advance:
-        records = racing.run(racers, tokens, repeats=repeats, threads=threads, on_lap=advance)
-    summary = benchmark.summarise(records, racing.YARDSTICK)
-    console.show_table(
-        summary.round(4), f"mean over {len(plan.points)} sequences, {threads} thread(s), {plan.dataset}"
-    )
-    console.say(f"ratio: to {racing.YARDSTICK}; seconds: median of {repeats} rounds; on {machine()['cpu']}")
-    stem = folder / f"bench_{threads}_threads"
-    figure = benchmark.error_against_time(summary, f"Error against time, {threads} thread(s)")
-    for path in [tables.write_table(pd.DataFrame(records), stem), *save_figure(figure, stem)]:
-        console.say(f"wrote {path}")
-
-
 def run_one(tokens: Sequence[str]) -> None:
     """Compute one configured flow and write it below ``results/runs/flows``.
 

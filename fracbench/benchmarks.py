@@ -1,0 +1,133 @@
+"""The benchmark from beginning to end: measure, print the table, write CSV and picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from fracbench import console
+from fracbench.errors import InputError
+from fracbench.harness.plan import make_plan
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def race(tokens: Sequence[str], *, repeats: int, threads: int, only: Sequence[str]) -> None:
+    """Time the contenders, print the table, write CSV and picture below ``results/runs/bench``.
+
+    Parameters
+    ----------
+    tokens : sequence of str
+        Overrides that choose sequences, data set and paths.
+    repeats : int
+        Timed rounds.
+    threads : int
+        Threads of the solver, of BLAS and of OpenCV.
+    only : sequence of str
+        Contenders, by beginning of name; all if empty.
+
+    Raises
+    ------
+    InputError
+        Numbers below 1, unknown contenders.
+    """
+    _require_rounds(repeats, threads)
+    import pandas as pd
+
+    from fracbench.harness import bench as racing
+    from fracbench.harness.provenance import machine
+    from fracbench.report import benchmark, tables
+    from fracbench.report.style import save_figure
+
+    racers = racing.contenders(only)
+    plan = make_plan(tokens)
+    folder = tables.ensure_folder(plan.config.results / "runs" / "bench")
+    with console.progress(len(plan.points) * len(racers) * repeats, "bench") as advance:
+        records = racing.run(racers, tokens, repeats=repeats, threads=threads, on_lap=advance)
+    summary = benchmark.summarise(records, racing.YARDSTICK)
+    console.show_table(
+        summary.round(4), f"mean over {len(plan.points)} sequences, {threads} thread(s), {plan.dataset}"
+    )
+    console.say(f"ratio: to {racing.YARDSTICK}; seconds: median of {repeats} rounds; on {machine()['cpu']}")
+    stem = folder / f"bench_{threads}_threads"
+    figure = benchmark.error_against_time(summary, f"Error against time, {threads} thread(s)")
+    for path in [tables.write_table(pd.DataFrame(records), stem), *save_figure(figure, stem)]:
+        console.say(f"wrote {path}")
+
+
+def grow(tokens: Sequence[str], *, repeats: int, threads: int) -> None:
+    """Measure growth with the size of the image, and what threads gain.
+
+    Parameters
+    ----------
+    tokens : sequence of str
+        Overrides: ``paths.results`` only matters.
+    repeats : int
+        Timed rounds.
+    threads : int
+        Compared with one.
+
+    Raises
+    ------
+    InputError
+        Numbers below 1.
+    """
+    import pandas as pd
+
+    from fracbench.harness import growth
+
+    _require_rounds(repeats, threads)
+    tables = []
+    with console.progress(2 * repeats * (len(growth.SHAPES) + 1), "bench") as advance:
+        for boundary in ("reflect", "zero"):
+            records = growth.by_size(boundary=boundary, threads=threads, repeats=repeats, on_lap=advance)
+            tables.append(pd.DataFrame(records).assign(boundary=boundary))
+    _write(
+        pd.concat(tables),
+        f"size_{threads}_threads",
+        f"alpha 1.2, fixed iterations, {threads} threads against one",
+        tokens,
+    )
+
+
+def share(tokens: Sequence[str], *, repeats: int, jobs: int) -> None:
+    """Measure what worker processes gain, and what a point costs beyond its computation.
+
+    Parameters
+    ----------
+    tokens : sequence of str
+        The sweep.
+    repeats : int
+        Timed rounds.
+    jobs : int
+        Worker processes, compared with one.
+
+    Raises
+    ------
+    InputError
+        Numbers below 1.
+    """
+    import pandas as pd
+
+    from fracbench.harness import growth
+
+    _require_rounds(repeats, jobs)
+    with console.progress(2 * repeats, "bench") as advance:
+        record = growth.by_jobs(tokens, jobs, repeats=repeats, on_lap=advance)
+    _write(pd.DataFrame([record]), f"jobs_{jobs}", " ".join(tokens), tokens)
+
+
+def _require_rounds(repeats: int, number: int) -> None:
+    if repeats < 1 or number < 1:
+        raise InputError(f"bench: --repeats and --threads must be at least 1, got {repeats} and {number}")
+
+
+def _write(table: pd.DataFrame, name: str, title: str, tokens: Sequence[str]) -> None:
+    from fracbench.harness.provenance import machine
+    from fracbench.report import tables
+
+    folder = tables.ensure_folder(make_plan(tokens).config.results / "runs" / "bench")
+    console.show_table(table.round(4), title)
+    console.say(f"medians of the rounds; on {machine()['cpu']}")
+    console.say(f"wrote {tables.write_table(table, folder / name)}")

@@ -1,0 +1,147 @@
+"""How time and memory grow with the image, with threads, and with worker processes."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fracbench.harness import execute
+from fracbench.harness.memory import peak_mib, reset_peak
+from fracbench.harness.plan import make_plan
+from fracbench.harness.store import Store
+
+#: From VGA to 8 megapixels.
+SHAPES = ((480, 640), (960, 1280), (1728, 2304), (2448, 3264))
+#: Iterations are fixed: growth is to be that of the work, not of the picture.
+FIXED: Mapping[str, Any] = {"alpha": 1.2, "epsilon": 0.0, "max_iter": 3, "n_warps": 2, "n_scales": 4}
+
+
+def texture_pair(shape: tuple[int, int]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Return two 8-bit frames of smoothed noise, the second moved by (2, 1) pixels.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        ``(H, W)``.
+
+    Returns
+    -------
+    tuple of ndarray
+        Frames.
+    """
+    from scipy.ndimage import gaussian_filter
+
+    noise = gaussian_filter(np.random.default_rng(0).normal(size=shape).astype(np.float32), 2.0, mode="wrap")
+    low, high = noise.min(), noise.max()
+    frame = (255.0 * (noise - low) / (high - low)).astype(np.uint8)
+    return frame, np.roll(frame, (1, 2), axis=(0, 1))
+
+
+def by_size(
+    *, boundary: str, threads: int, repeats: int, on_lap: Callable[[], None] | None = None
+) -> list[dict[str, Any]]:
+    """Time the solver on growing images, with one and with several threads, interleaved.
+
+    Parameters
+    ----------
+    boundary : {'reflect', 'zero'}
+        Boundary rule.
+    threads : int
+        Compared with one.
+    repeats : int
+        Timed rounds; the median counts.
+    on_lap : callable, optional
+        Called after each estimate.
+
+    Returns
+    -------
+    list of dict
+        ``height, width, seconds, us_per_pixel, bytes_per_pixel, speed_up``: seconds on one thread, the peak
+        memory of one estimate beyond what the process held before, and one thread's time over several threads'.
+    """
+    from fracbench.api import estimate_flow
+
+    records = []
+    for height, width in SHAPES if boundary == "reflect" else SHAPES[:1]:
+        frames = texture_pair((height, width))
+        took: dict[int, list[float]] = {1: [], threads: []}
+        reset_peak()
+        before = peak_mib()
+        estimate_flow(*frames, boundary=boundary, **FIXED)
+        peak = peak_mib()
+        for _ in range(repeats):
+            for number, times in took.items():
+                started = time.perf_counter()
+                estimate_flow(*frames, boundary=boundary, threads=number, **FIXED)
+                times.append(time.perf_counter() - started)
+                if on_lap is not None:
+                    on_lap()
+        seconds = median(took[1])
+        records.append(
+            {
+                "height": height,
+                "width": width,
+                "seconds": seconds,
+                "us_per_pixel": 1e6 * seconds / (height * width),
+                "bytes_per_pixel": 2**20 * ((peak or np.nan) - (before or np.nan)) / (height * width),
+                "speed_up": seconds / median(took[threads]),
+            }
+        )
+    return records
+
+
+def by_jobs(
+    tokens: Sequence[str], jobs: int, *, repeats: int, on_lap: Callable[[], None] | None = None
+) -> dict[str, Any]:
+    """Time a sweep into an empty store on one and on several worker processes, interleaved.
+
+    Parameters
+    ----------
+    tokens : sequence of str
+        The sweep.
+    jobs : int
+        Compared with one.
+    repeats : int
+        Timed rounds after one that warms up; the median counts.
+    on_lap : callable, optional
+        Called after each sweep.
+
+    Returns
+    -------
+    dict
+        ``points, jobs, seconds_1, seconds_n, speed_up, overhead_ms``: what a point costs on one job beyond the
+        seconds that its computation takes.
+    """
+    plan = make_plan(tokens)
+    took: dict[int, list[float]] = {1: [], jobs: []}
+    overheads = []
+    for round_number in range(repeats + 1):
+        for number, times in took.items():
+            with tempfile.TemporaryDirectory() as folder, Store(Path(folder) / "store.sqlite") as store:
+                started = time.perf_counter()
+                report = execute.run(plan, store, jobs=number)
+                seconds = time.perf_counter() - started
+            if round_number == 0:
+                continue
+            times.append(seconds)
+            if number == 1:
+                computing = sum(row.seconds or 0.0 for row in report.rows.values())
+                overheads.append(1e3 * (seconds - computing) / len(report.rows))
+            if on_lap is not None:
+                on_lap()
+    one, several = median(took[1]), median(took[jobs])
+    return {
+        "points": len(plan.points),
+        "jobs": jobs,
+        "seconds_1": one,
+        "seconds_n": several,
+        "speed_up": one / several,
+        "overhead_ms": median(overheads),
+    }
