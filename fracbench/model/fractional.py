@@ -85,7 +85,7 @@ class ZeroGradient(GradientOperator):
         self._ly, qy = _eigenbasis(self.alpha, height, pad)
         self._lx, qx = _eigenbasis(self.alpha, width, pad)
         self._qy, self._qx = qy.astype(self.dtype), qx.astype(self.dtype)
-        self._work: Array | None = None
+        self._work = np.empty((2, height, width), self.dtype)
 
     def apply(self, u: Array) -> Array:
         height, width = self.shape
@@ -111,12 +111,10 @@ class ZeroGradient(GradientOperator):
     def solve(self, v: Array, g: Array, theta: float, mu: float, inverse: Array, u: Array, du: Array) -> None:
         height, width = self.shape
         real = self.dtype.type
-        if self._work is None:
-            self._work = np.empty((2, 2, height, width), self.dtype)
         x, y = self._work
-        # The formula, with the two components stacked and nothing allocated.
-        np.matmul(g[:, 0, 0, :height], self._tx, out=x)
-        np.matmul(self._ty.T, g[:, 0, 1, :, :width], out=y)
+        # The formula, with nothing allocated.
+        np.matmul(g[0, 0, :height], self._tx, out=x)
+        np.matmul(self._ty.T, g[0, 1, :, :width], out=y)
         x += y
         x *= real(mu)
         np.multiply(v, real(1.0 / theta), out=y)
@@ -126,10 +124,10 @@ class ZeroGradient(GradientOperator):
         x *= inverse
         np.matmul(self._qy, x, out=y)
         np.matmul(y, self._qx.T, out=u)
-        np.matmul(u, self._tx.T, out=du[:, 0, 0, :height])
-        np.matmul(self._ty, u, out=du[:, 0, 1, :, :width])
-        du[:, 0, 0, height:] = 0.0  # on the padding below and beside the image
-        du[:, 0, 1, :, width:] = 0.0
+        du[:, 0, height:] = 0.0  # on the padding below and beside the image
+        du[:, 1, :, width:] = 0.0
+        np.matmul(u, self._tx.T, out=du[0, 0, :height])
+        np.matmul(self._ty, u, out=du[0, 1, :, :width])
 
     def eigenvalues(self) -> tuple[Float64Array, Float64Array]:
         return self._ly, self._lx

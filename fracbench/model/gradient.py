@@ -82,47 +82,27 @@ class GradientOperator(ABC):
     def normal_matrices(self) -> tuple[Float64Array, Float64Array]:
         """Return the normal operator along y and x as dense matrices, ``(H, H)`` and ``(W, W)``."""
 
-    def u_step(self, rhs: Array, inverse: Array) -> tuple[Array, Array]:
-        """Solve the u-system and differentiate the solution.
-
-        Parameters
-        ----------
-        rhs : ndarray, shape (H, W)
-            Right-hand side.
-        inverse : ndarray, shape (H, W)
-            Inverse of the system's eigenvalues, ``1 / (1/theta + mu (ly_i + lx_j))``.
-
-        Returns
-        -------
-        u : ndarray, shape (H, W)
-            The solution.
-        du : ndarray, shape `range_shape`
-            ``apply(u)``.
-        """
-        u = self.from_basis(self.to_basis(rhs) * inverse)
-        return u, self.apply(u)
-
     def solve(self, v: Array, g: Array, theta: float, mu: float, inverse: Array, u: Array, du: Array) -> None:
-        """Take the u-step of both components: minimise ``|u - v|^2 / (2 theta) + mu/2 weight |D u - g|^2``.
+        """Take the u-step of one component: minimise ``|u - v|^2 / (2 theta) + mu/2 weight |D u - g|^2``.
 
         The default is the formula; an operator that knows a faster way to the same numbers overrides it.
 
         Parameters
         ----------
-        v : ndarray, shape (2, H, W)
+        v : ndarray, shape (H, W)
             Data.
-        g : ndarray, shape (2, *range_shape)
+        g : ndarray, shape `range_shape`
             ``d - b``.
         theta, mu : float
             Tightness and split Bregman parameter.
         inverse : ndarray, shape (H, W)
-            See `u_step`.
-        u : ndarray, shape (2, H, W)
+            Inverse of the system's eigenvalues, ``1 / (1/theta + mu (ly_i + lx_j))``.
+        u : ndarray, shape (H, W)
             The minimiser, overwritten.
-        du : ndarray, shape (2, *range_shape)
+        du : ndarray, shape `range_shape`
             Its derivatives, overwritten; may be `g`.
         """
         real = self.dtype.type
-        for component in range(2):
-            rhs = v[component] / real(theta) + real(mu * self.weight) * self.adjoint(g[component])
-            u[component], du[component] = self.u_step(rhs, inverse)
+        rhs = v / real(theta) + real(mu * self.weight) * self.adjoint(g)
+        u[...] = self.from_basis(self.to_basis(rhs) * inverse)
+        du[...] = self.apply(u)

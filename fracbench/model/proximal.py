@@ -119,42 +119,62 @@ def coupled_threshold(
 
 
 @jit
-def shrink_update(w: Array, z: Array, threshold: float, relaxation: float) -> None:
-    """Shrink, update the Bregman variable, and form what the next u-step needs; (shrinkalpha), (csbalpha).
+def shrink_difference(z: Array, threshold: float, w: Array, start: int, stop: int) -> None:
+    """Write ``d - b``, what the u-step needs, for ``d = shrink(z, threshold)`` and ``b = z - d``.
 
-    With ``z = D u + b``: ``d = shrink(z, threshold)`` (isotropic, each (x, y) pair by its euclidean norm,
-    shrink(0) = 0) and ``b <- z - d``, the projection of z on the ball of radius `threshold`. So z alone is
-    the state: d and b of the last step follow from it.
+    The shrinkage is isotropic: each (x, y) pair by its euclidean norm, shrink(0) = 0; equation (shrinkalpha).
+    b, equation (csbalpha), is the projection of z on the ball of radius `threshold`.
 
     Parameters
     ----------
-    w : ndarray, shape (pairs, 2, h, w)
-        Derivatives of u; overwritten by ``d - b``.
     z : ndarray, shape (pairs, 2, h, w)
-        State, overwritten by the next; 0 means that d = b = 0.
+        ``D u + b``.
     threshold : float
         ``1 / mu``.
-    relaxation : float
-        In place of D u takes ``relaxation D u + (1 - relaxation) d``, with the last d; 1 for none.
+    w : ndarray, shape (pairs, 2, h, w)
+        Output.
+    start, stop : int
+        The rows to take.
     """
-    pairs, _, height, width = w.shape
-    rest = 1.0 - relaxation
+    pairs, _, _, width = z.shape
     for p in range(pairs):
-        for i in range(height):
+        for i in range(start, stop):
             for j in range(width):
                 zx, zy = z[p, 0, i, j], z[p, 1, i, j]
                 norm = math.sqrt(zx * zx + zy * zy)
                 kept = 1.0 if norm <= threshold else threshold / norm
-                # b is kept z and d the rest of it
-                share = kept + rest * (1.0 - kept)
-                zx = relaxation * w[p, 0, i, j] + share * zx
-                zy = relaxation * w[p, 1, i, j] + share * zy
-                norm = math.sqrt(zx * zx + zy * zy)
-                kept = 1.0 if norm <= threshold else threshold / norm
-                z[p, 0, i, j] = zx
-                z[p, 1, i, j] = zy
                 w[p, 0, i, j] = (1.0 - 2.0 * kept) * zx
                 w[p, 1, i, j] = (1.0 - 2.0 * kept) * zy
+
+
+@jit
+def bregman_update(du: Array, threshold: float, relaxation: float, z: Array, start: int, stop: int) -> None:
+    """Update ``z <- D u + b``, the state of split Bregman: d and b follow from it (`shrink_difference`).
+
+    Parameters
+    ----------
+    du : ndarray, shape (pairs, 2, h, w)
+        Derivatives of u.
+    threshold : float
+        ``1 / mu``.
+    relaxation : float
+        In place of D u takes ``relaxation D u + (1 - relaxation) d``, with the last d; 1 for none.
+    z : ndarray, shape (pairs, 2, h, w)
+        State, overwritten by the next; 0 means that d = b = 0.
+    start, stop : int
+        The rows to take.
+    """
+    pairs, _, _, width = z.shape
+    rest = 1.0 - relaxation
+    for p in range(pairs):
+        for i in range(start, stop):
+            for j in range(width):
+                zx, zy = z[p, 0, i, j], z[p, 1, i, j]
+                norm = math.sqrt(zx * zx + zy * zy)
+                kept = 1.0 if norm <= threshold else threshold / norm
+                share = kept + rest * (1.0 - kept)  # b is kept z and d the rest of z
+                z[p, 0, i, j] = relaxation * du[p, 0, i, j] + share * zx
+                z[p, 1, i, j] = relaxation * du[p, 1, i, j] + share * zy
 
 
 @jit

@@ -19,9 +19,9 @@ from fracbench.model.linear import (
     inverse_eigenvalues,
     jacobi_sweep,
 )
-from fracbench.model.proximal import mean_squared_change, shrink_update
+from fracbench.model.proximal import bregman_update, mean_squared_change, shrink_difference
 from fracbench.model.reflected import NaturalGradient
-from fracbench.model.threads import LEAST_PIXELS, share
+from fracbench.model.threads import share
 
 
 class Regularizer(Protocol):
@@ -173,8 +173,8 @@ class SplitBregman:
         self._relaxation = relaxation if u_solver == "exact" and not self._cold else 1.0
         self._tol, self._max_inner = tol, max_inner
         self._z = np.zeros((2, *operator.range_shape), operator.dtype)
-        self._w = np.zeros_like(self._z)  # by turns D u and d - b
-        self._started = False
+        self._w = np.zeros(operator.range_shape, operator.dtype)  # by turns d - b and D u
+        self._started = [False, False]
         if u_solver == "exact":
             self._inverse = inverse_eigenvalues(operator, theta, mu)
         else:
@@ -183,37 +183,19 @@ class SplitBregman:
     def restart(self) -> None:
         """Set d and b to 0."""
         self._z[...] = 0.0
-        self._w[...] = 0.0
-        self._started = False
+        self._started = [False, False]
 
     def step(self, v: Array, u: Array, out: Array) -> int:
         """Take one warm step, or iterate from a cold start; see `Regularizer.step`."""
         if self._cold:
             return sum(self._iterate(component, v[component], out[component]) for component in range(2))
-        relaxation = self._relaxation
-        if not self._started:
-            # d = D u, b = 0: the first step then starts from the flow at hand instead of smoothing it away.
-            for component in range(2):
-                self._w[component] = self.operator.apply(u[component])
-            self._started, relaxation = True, 1.0
-        if self._solver == "exact":
-            self.operator.solve(v, self._w, self._theta, self._mu, self._inverse, out, self._w)
-        else:
-            out[...] = u
-            for component in range(2):
-                self._sweep(component, v[component], out[component])
-        pairs = self._z.reshape(-1, *self._z.shape[2:])
-        w, gamma = self._w.reshape(pairs.shape), 1.0 / self._mu
-        share(
-            lambda a, b: shrink_update(w[a:b], pairs[a:b], gamma, relaxation),
-            len(pairs),
-            least=1 + LEAST_PIXELS // w[0].size,
-        )
+        for component in range(2):
+            out[component] = u[component]
+            self.bregman_step(component, v[component], out[component], warm=True)
         return 1
 
     def _iterate(self, component: int, v: Array, out: Array) -> int:
         self._z[component] = 0.0
-        self._w[component] = 0.0
         out[...] = v
         change, count = math.inf, 0
         while change > self._tol**2 and count < self._max_inner:
@@ -223,7 +205,7 @@ class SplitBregman:
             count += 1
         return count
 
-    def bregman_step(self, component: int, v: Array, u: Array) -> None:
+    def bregman_step(self, component: int, v: Array, u: Array, *, warm: bool = False) -> None:
         """Take one step (u, then d, then b) for one component.
 
         Parameters
@@ -234,17 +216,26 @@ class SplitBregman:
             Data.
         u : ndarray, shape (H, W)
             Current iterate, overwritten by the next.
+        warm : bool, optional
+            Let the first step start from d = D u instead of smoothing u away, and relax the others.
         """
-        self._sweep(component, v, u)
-        shrink_update(self._w[component], self._z[component], 1.0 / self._mu, 1.0)
+        z, w, gamma = self._z[component], self._w, 1.0 / self._mu
+        relaxation = self._relaxation
+        if warm and not self._started[component]:
+            w[...] = self.operator.apply(u)
+            self._started[component], relaxation = True, 1.0
+        else:
+            share(lambda a, b: shrink_difference(z, gamma, w, a, b), w.shape[2])
+        self._u_step(v, u)
+        share(lambda a, b: bregman_update(w, gamma, relaxation, z, a, b), w.shape[2])
 
-    def _sweep(self, component: int, v: Array, u: Array) -> None:
-        """Take the u-step of one component and leave the derivatives of u in its w."""
-        operator, w = self.operator, self._w[component]
-        rhs = v / u.dtype.type(self._theta) + u.dtype.type(self._mu * operator.weight) * operator.adjoint(w)
+    def _u_step(self, v: Array, u: Array) -> None:
+        """Replace d - b in w by the derivatives of the next u."""
+        operator, w = self.operator, self._w
         if self._solver == "exact":
-            u[...], w[...] = operator.u_step(rhs, self._inverse)
+            operator.solve(v, w, self._theta, self._mu, self._inverse, u, w)
             return
+        rhs = v / u.dtype.type(self._theta) + u.dtype.type(self._mu * operator.weight) * operator.adjoint(w)
         if self._solver == "jacobi":
             u[...] = jacobi_sweep(u, rhs, self._ny, self._nx, self._theta, self._mu)
         elif isinstance(operator, NaturalGradient):

@@ -10,11 +10,10 @@ from functools import lru_cache
 from itertools import pairwise
 
 from fracbench.errors import InputError
-from fracbench.model._lanes import LANES
+from fracbench.model.transforms import LINES
 
-#: Fewer lines, or pixels, than this are not worth waking a thread for.
+#: Fewer lines than this are not worth waking a thread for.
 LEAST_LINES = 64
-LEAST_PIXELS = 64 * 64
 
 _threads: ContextVar[int] = ContextVar("threads", default=1)
 
@@ -63,7 +62,7 @@ def share(work: Callable[[int, int], object], lines: int, least: int = LEAST_LIN
     if parts == 1:
         work(0, lines)
         return
-    grain = LANES if least >= LANES else 1
+    grain = LINES if least >= LINES else 1
     cuts = [grain * (lines * part // (parts * grain)) for part in range(parts)] + [lines]
     others = [_pool(parts - 1).submit(work, a, b) for a, b in pairwise(cuts[1:])]
     work(cuts[0], cuts[1])

@@ -1,7 +1,7 @@
-r"""Fast cosine and sine transforms of both components of a flow at once, along either axis.
+r"""Fast cosine and sine transforms of the lines of an image, along either axis.
 
-A component is real and so are its transforms, so the two components travel as the real and the imaginary part
-of one complex Fourier transform of length n (Makhoul 1980), eight lines of the image at a time. Samples
+Lines are real and so are their transforms, so two lines travel as the real and the imaginary part of one
+complex Fourier transform of length n (Makhoul 1980), two times eight lines at a time. Samples
 ``x(j)`` have the orthonormal coefficients ``C(k) = beta(k) sum_j x(j) cos(pi k (2 j + 1) / (2 n))`` and
 ``S(k)``, the same with the sine, for ``j, k = 0..n-1``, ``beta(0) = sqrt(1/n)``, else ``sqrt(2/n)``: the DCT-II,
 and the DST-II numbered by frequency (``S(0) = 0``; frequency n, which a cosine series lacks, is left out).
@@ -18,6 +18,9 @@ from fracbench.model._jit import jit
 from fracbench.model._lanes import LANES, load, store, transpose
 from fracbench.model.arrays import Array
 from fracbench.model.fourier import LinePlan, fourier, get, put
+
+#: Lines that are transformed together.
+LINES = 2 * LANES
 
 # --- eight lines out of an image and back ------------------------------------------------------------------
 
@@ -152,40 +155,40 @@ def cosine(x: Array, axis: int, start: int, stop: int, factor: Array, plan: Line
 
     Parameters
     ----------
-    x : ndarray, shape (2, H, W), C-contiguous
-        Both components.
+    x : ndarray, shape (H, W), C-contiguous
+        Image.
     axis : {0, 1}
-        Axis of an image along which the lines run.
+        Axis along which the lines run.
     start, stop : int
-        Lines; `start` is a multiple of LANES, and `stop` is one or the number of lines.
+        Lines; `start` is a multiple of LINES, and `stop` is one or the number of lines.
     factor : ndarray, shape (n,)
         What the coefficients are multiplied by.
     plan : LinePlan
         Plan for n in x's precision.
-    out : ndarray, shape (2, H, W), C-contiguous
+    out : ndarray, shape (H, W), C-contiguous
         Coefficients; may be `x`.
     """
     work, base = np.empty((2 * plan.results.size, LANES), x.dtype), int(np.intp(0))  # as in `fourier`
-    for first in range(start, stop, LANES):
-        for component in range(2):
-            _gather(x[component], axis, first, plan.forth, work, component)
+    for first in range(start, stop, LINES):
+        for part in range(2):
+            _gather(x, axis, first + part * LANES, plan.forth, work, part)
         fourier(work, base, plan)
         _from_fourier(work, base, plan, factor, False)
-        for component in range(2):
-            _scatter(work, component, plan.results, out[component], axis, first)
+        for part in range(2):
+            _scatter(work, part, plan.results, out, axis, first + part * LANES)
 
 
 @jit
 def cosine_back(x: Array, axis: int, start: int, stop: int, factor: Array, plan: LinePlan, out: Array) -> None:
     """Write the lines whose cosine coefficients are ``factor(k) x(k)``; parameters as for `cosine`."""
     work, base = np.empty((2 * plan.results.size, LANES), x.dtype), int(np.intp(0))  # as in `fourier`
-    for first in range(start, stop, LANES):
-        for component in range(2):
-            _gather(x[component], axis, first, plan.natural, work, component)
+    for first in range(start, stop, LINES):
+        for part in range(2):
+            _gather(x, axis, first + part * LANES, plan.natural, work, part)
         _to_fourier(work, base, plan, factor, False)
         fourier(work, base, plan)
-        for component in range(2):
-            _scatter(work, 1 - component, plan.back, out[component], axis, first)
+        for part in range(2):
+            _scatter(work, 1 - part, plan.back, out, axis, first + part * LANES)
 
 
 @jit
@@ -196,37 +199,37 @@ def derivatives(
 
     Parameters
     ----------
-    x : ndarray, shape (2, H, W), C-contiguous
-        Cosine coefficients of both components along `axis`.
+    x : ndarray, shape (H, W), C-contiguous
+        Cosine coefficients along `axis`.
     axis, start, stop, plan
         See `cosine`.
     even, odd : ndarray, shape (n,)
         A is the cosine series of ``even(k) x(k)``, B the sine series of ``odd(k) x(k)``.
-    out : ndarray, shape (2, 2, 2, H, W), C-contiguous
-        By component, side (left, right) and direction (x, y); the direction of `axis` is written.
+    out : ndarray, shape (2, 2, H, W), C-contiguous
+        By side (left, right) and direction (x, y); the direction of `axis` is written.
     """
     n = plan.results.size
     work = np.empty((4 * n, LANES), x.dtype)
-    for first in range(start, stop, LANES):
+    for first in range(start, stop, LINES):
         for base in (0, n):
-            for component in range(2):
-                _gather(x[component], axis, first, plan.natural, work, 2 * base + component)
+            for part in range(2):
+                _gather(x, axis, first + part * LANES, plan.natural, work, 2 * base + part)
             _to_fourier(work, base, plan, even if base == 0 else odd, base > 0)
             fourier(work, base, plan)
         for sample in range(n):
             row = plan.back[sample]
-            br, bi = get(work, row)
-            dr, di = get(work, n + row)
+            ar, ai = get(work, row)
+            br, bi = get(work, n + row)
             if sample % 2 == 1:  # of B's samples every other one is negative
-                put(work, row, br + dr, bi + di)
-                put(work, n + row, br - dr, bi - di)
+                put(work, row, ar + br, ai + bi)
+                put(work, n + row, ar - br, ai - bi)
             else:
-                put(work, row, br - dr, bi - di)
-                put(work, n + row, br + dr, bi + di)
-        for component in range(2):
-            for side in range(2):
-                image = out[component, side, 1 - axis]
-                _scatter(work, 2 * n * side + 1 - component, plan.back, image, axis, first)
+                put(work, row, ar - br, ai - bi)
+                put(work, n + row, ar + br, ai + bi)
+        for side in range(2):
+            for part in range(2):
+                rows, image = 2 * n * side + 1 - part, out[side, 1 - axis]
+                _scatter(work, rows, plan.back, image, axis, first + part * LANES)
 
 
 @jit
@@ -246,27 +249,27 @@ def derivatives_adjoint(
 
     Parameters
     ----------
-    d : ndarray, shape (2, 2, 2, H, W), C-contiguous
-        By component, side and direction; the direction of `axis` is read.
-    v : ndarray, shape (2, H, W), C-contiguous
+    d : ndarray, shape (2, 2, H, W), C-contiguous
+        By side and direction; the direction of `axis` is read.
+    v : ndarray, shape (H, W), C-contiguous
         ``direct(k)`` times its cosine coefficients are added.
     axis, start, stop, even, odd, plan
         See `derivatives`.
     direct : ndarray, shape (n,) or (0,)
         See `v`; (0,) for nothing to add.
-    out : ndarray, shape (2, H, W), C-contiguous
+    out : ndarray, shape (H, W), C-contiguous
         Cosine coefficients along `axis`.
     """
     n = plan.results.size
-    parts = 3 if direct.size else 2
-    work = np.empty((2 * parts * n, LANES), d.dtype)
-    for first in range(start, stop, LANES):
-        for component in range(2):
+    pieces = 3 if direct.size else 2
+    work = np.empty((2 * pieces * n, LANES), d.dtype)
+    for first in range(start, stop, LINES):
+        for part in range(2):
+            line = first + part * LANES
             for side in range(2):
-                image = d[component, side, 1 - axis]
-                _gather(image, axis, first, plan.forth, work, 2 * n * side + component)
-            if parts == 3:
-                _gather(v[component], axis, first, plan.forth, work, 4 * n + component)
+                _gather(d[side, 1 - axis], axis, line, plan.forth, work, 2 * n * side + part)
+            if pieces == 3:
+                _gather(v, axis, line, plan.forth, work, 4 * n + part)
         for row in range(n):
             lr, li = get(work, row)
             rr, ri = get(work, n + row)
@@ -275,36 +278,27 @@ def derivatives_adjoint(
                 put(work, n + row, lr - rr, li - ri)
             else:
                 put(work, n + row, rr - lr, ri - li)
-        for part in range(parts):
-            fourier(work, part * n, plan)
-            factor = even if part == 0 else odd if part == 1 else direct
-            _from_fourier(work, part * n, plan, factor, part == 1)
+        for piece in range(pieces):
+            fourier(work, piece * n, plan)
+            factor = even if piece == 0 else odd if piece == 1 else direct
+            _from_fourier(work, piece * n, plan, factor, piece == 1)
         for k in range(n):
             row = plan.results[k]
             ar, ai = get(work, row)
             # a sine coefficient stands in its mirror's row, that of frequency 0 (nothing) in its own
             br, bi = get(work, n + plan.results[(n - k) % n])
             ar, ai = ar + br, ai + bi
-            if parts == 3:
+            if pieces == 3:
                 cr, ci = get(work, 2 * n + row)
                 ar, ai = ar + cr, ai + ci
             put(work, row, ar, ai)
-        for component in range(2):
-            _scatter(work, component, plan.results, out[component], axis, first)
+        for part in range(2):
+            _scatter(work, part, plan.results, out, axis, first + part * LANES)
 
 
 @jit
 def multiply_sum(x: Array, y: Array, factor: Array) -> None:
-    """Write ``factor (x + y)`` to `x`.
-
-    Parameters
-    ----------
-    x, y : ndarray, shape (2, H, W)
-        Coefficients of both components.
-    factor : ndarray, shape (H, W)
-        The same for both.
-    """
-    for component in range(2):
-        for i in range(factor.shape[0]):
-            for j in range(factor.shape[1]):
-                x[component, i, j] = factor[i, j] * (x[component, i, j] + y[component, i, j])
+    """Write ``factor (x + y)`` to `x`; all of shape (H, W)."""
+    for i in range(factor.shape[0]):
+        for j in range(factor.shape[1]):
+            x[i, j] = factor[i, j] * (x[i, j] + y[i, j])

@@ -7,7 +7,13 @@ import pytest
 import reference_impl as ref
 import scipy.optimize
 
-from fracbench.model.proximal import coupled_threshold, mean_squared_change, shrink_update, threshold
+from fracbench.model.proximal import (
+    bregman_update,
+    coupled_threshold,
+    mean_squared_change,
+    shrink_difference,
+    threshold,
+)
 
 LAMBDA, THETA = 0.4, 0.3
 
@@ -154,9 +160,11 @@ def test_coupled_threshold_solves_its_own_problem(rng):
 
 
 def shrunk(du, z, gamma, relaxation=1.0):
-    """Return d and b, from the kernel's state z = d + b and w = d - b."""
-    w, z = du.copy(), z.copy()
-    shrink_update(w, z, gamma, relaxation)
+    """Return d and b of the next state, from its z = d + b and w = d - b."""
+    z, w = z.copy(), np.empty_like(z)
+    for start, stop in ((0, 1), (1, z.shape[2])):
+        bregman_update(du, gamma, relaxation, z, start, stop)
+        shrink_difference(z, gamma, w, start, stop)
     return (z + w) / 2, (z - w) / 2
 
 
