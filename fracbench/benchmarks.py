@@ -13,6 +13,40 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+_SWEEP = ("region=grove2_A", "alpha=0:2:0.05")
+
+
+def bench(study: str | None, tokens: Sequence[str], *, repeats: int, threads: int, only: Sequence[str]) -> None:
+    """Run the benchmark or one of its studies.
+
+    Parameters
+    ----------
+    study : {None, 'size', 'jobs', 'roofline'}
+        None for the race of all contenders.
+    tokens : sequence of str
+        Overrides; those of the race and of `jobs` have defaults.
+    repeats, threads : int
+        Timed rounds; threads, or worker processes of `jobs`.
+    only : sequence of str
+        Contenders of the race.
+
+    Raises
+    ------
+    InputError
+        Numbers below 1, and what the studies refuse.
+    """
+    if repeats < 1 or threads < 1:
+        raise InputError(f"bench: --repeats and --threads must be at least 1, got {repeats} and {threads}")
+    if study == "size":
+        grow(tokens, repeats=repeats, threads=threads)
+    elif study == "jobs":
+        share(tokens or _SWEEP, repeats=repeats, jobs=threads)
+    elif study == "roofline":
+        weigh(tokens, repeats=repeats)
+    else:
+        race(tokens or ["sequence=all"], repeats=repeats, threads=threads, only=only)
+
+
 def race(tokens: Sequence[str], *, repeats: int, threads: int, only: Sequence[str]) -> None:
     """Time the contenders, print the table, write CSV and picture below ``results/runs/bench``.
 
@@ -32,7 +66,6 @@ def race(tokens: Sequence[str], *, repeats: int, threads: int, only: Sequence[st
     InputError
         Numbers below 1, unknown contenders.
     """
-    _require_rounds(repeats, threads)
     import pandas as pd
 
     from fracbench.harness import bench as racing
@@ -68,16 +101,11 @@ def grow(tokens: Sequence[str], *, repeats: int, threads: int) -> None:
     threads : int
         Compared with one.
 
-    Raises
-    ------
-    InputError
-        Numbers below 1.
     """
     import pandas as pd
 
     from fracbench.harness import growth
 
-    _require_rounds(repeats, threads)
     tables = []
     with console.progress(2 * repeats * (len(growth.SHAPES) + 1), "bench") as advance:
         for boundary in ("reflect", "zero"):
@@ -103,24 +131,33 @@ def share(tokens: Sequence[str], *, repeats: int, jobs: int) -> None:
     jobs : int
         Worker processes, compared with one.
 
-    Raises
-    ------
-    InputError
-        Numbers below 1.
     """
     import pandas as pd
 
     from fracbench.harness import growth
 
-    _require_rounds(repeats, jobs)
     with console.progress(2 * repeats, "bench") as advance:
         record = growth.by_jobs(tokens, jobs, repeats=repeats, on_lap=advance)
     _write(pd.DataFrame([record]), f"jobs_{jobs}", " ".join(tokens), tokens)
 
 
-def _require_rounds(repeats: int, number: int) -> None:
-    if repeats < 1 or number < 1:
-        raise InputError(f"bench: --repeats and --threads must be at least 1, got {repeats} and {number}")
+def weigh(tokens: Sequence[str], *, repeats: int) -> None:
+    """Compare one iteration with what the machine's memory and arithmetic allow.
+
+    Parameters
+    ----------
+    tokens : sequence of str
+        Overrides: ``paths.results`` only matters.
+    repeats : int
+        Timed rounds.
+
+    """
+    import pandas as pd
+
+    from fracbench.harness import growth
+
+    records = [growth.roofline(shape, repeats=repeats) for shape in growth.SHAPES[:2]]
+    _write(pd.DataFrame(records), "roofline", "one iteration, reflect, float32, one thread", tokens)
 
 
 def _write(table: pd.DataFrame, name: str, title: str, tokens: Sequence[str]) -> None:

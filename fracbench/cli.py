@@ -149,7 +149,7 @@ def _build_parser() -> argparse.ArgumentParser:
     bench = add("bench", _bench, "time the methods and the peers that are installed, interleaved, warm")
     bench.add_argument("--repeats", type=int, default=5, help="timed rounds; the median counts (default: 5)")
     bench.add_argument("--threads", type=int, default=1, help="of the solver, BLAS and OpenCV (default: 1)")
-    bench.add_argument("--study", choices=["size", "jobs"], help="growth by image, or --threads processes")
+    bench.add_argument("--study", choices=["size", "jobs", "roofline"], help="instead of a race")
     bench.add_argument("--only", default="", metavar="NAME,...", help="contenders, by beginning of name")
     _add_overrides(bench, grid=False)
     data = add("data", _data, "say where the Middlebury data are and whether they are whole; fetch them")
@@ -297,20 +297,13 @@ def _check(arguments: argparse.Namespace) -> int:
     return EXIT_DONE if session.check_references(arguments.names, jobs=arguments.jobs) else EXIT_CHECK
 
 
-_SWEEP_OF_THE_STUDY = ["region=grove2_A", "alpha=0:2:0.05"]
-
-
 def _bench(arguments: argparse.Namespace) -> int:
     from fracbench import benchmarks
 
-    tokens, repeats, number = arguments.overrides, arguments.repeats, arguments.threads
-    if arguments.study == "size":
-        benchmarks.grow(tokens, repeats=repeats, threads=number)
-    elif arguments.study == "jobs":
-        benchmarks.share(tokens or _SWEEP_OF_THE_STUDY, repeats=repeats, jobs=number)
-    else:
-        only = [name for name in arguments.only.split(",") if name]
-        benchmarks.race(tokens or ["sequence=all"], repeats=repeats, threads=number, only=only)
+    only = [name for name in arguments.only.split(",") if name]
+    benchmarks.bench(
+        arguments.study, arguments.overrides, repeats=arguments.repeats, threads=arguments.threads, only=only
+    )
     return EXIT_DONE
 
 

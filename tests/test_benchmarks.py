@@ -76,6 +76,15 @@ def test_growth_reports_every_size(monkeypatch, tmp_path, capsys):
     np.testing.assert_allclose(table["us_per_pixel"], 1e6 * table["seconds"] / table["height"] / table["width"])
 
 
+def test_the_roofline_counts_flops_and_bytes(monkeypatch, tmp_path):
+    monkeypatch.setattr(growth, "SHAPES", ((32, 64), (64, 64)))
+    assert main(["bench", "--study", "roofline", "--repeats", "1", f"paths.results={tmp_path}"]) == 0
+    row = pd.read_csv(tmp_path / "runs" / "bench" / "roofline.csv").iloc[1]
+    assert row["mflop"] == pytest.approx(2e-6 * 64 * 64 * (14 * 2.5 * 6 + 90))  # log2(64) = 6 along both axes
+    assert row["mbyte"] == pytest.approx(4e-6 * 64 * 64 * 113)
+    assert row["ms_by_bytes"] == pytest.approx(row["mbyte"] / row["gbyte_s"]) and row["ms"] > 0
+
+
 def test_jobs_compare_whole_sweeps(tmp_path):
     sweep = [SCENE, "alpha=1,1.2,1.4", "n_scales=1", "n_warps=1", "max_iter=1", "method=tvl1_sb_alpha"]
     command = ["bench", *sweep, "--study", "jobs", "--threads", "2", "--repeats", "1", f"paths.results={tmp_path}"]
@@ -92,7 +101,7 @@ def test_the_texture_moves_as_it_says():
 
 
 @pytest.mark.parametrize("option", ["--repeats", "--threads"])
-@pytest.mark.parametrize("study", [[], ["--study", "size"], ["--study", "jobs"]])
+@pytest.mark.parametrize("study", [[], ["--study", "size"], ["--study", "jobs"], ["--study", "roofline"]])
 def test_numbers_below_one_are_refused(option, study, capsys):
     assert main(["bench", SCENE, *study, option, "0"]) == 2
     assert "must be at least 1" in capsys.readouterr().err

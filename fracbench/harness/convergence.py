@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fracbench.methods.variational import split_bregman_alpha, v_step
 from fracbench.model.arrays import Array
@@ -148,6 +149,13 @@ class _Run:
         inner = self._regularizer.step(self._v_step.target(self.u, self._linear), self.u, self._after)
         self.u, self._after = self._after, self.u
         return inner if inner > 1 else 2
+
+
+def iterate_once(frames: Sequence[NDArray[Any]], alpha: float) -> Callable[[], object]:
+    """Return a function that takes one iteration of the default solver on a whole frame, linearised at 0."""
+    first, second = (frame.astype(np.float64) for frame in frames)
+    params = FlowParams(alpha=alpha)
+    return _Run(linearised_problem(first, second, np.zeros((2, *first.shape)), params), params).step
 
 
 def sweep_seconds(shape: tuple[int, int], params: FlowParams) -> tuple[float, float]:

@@ -190,7 +190,8 @@ class SplitBregman:
         if self._cold:
             return sum(self._iterate(component, v[component], out[component]) for component in range(2))
         for component in range(2):
-            out[component] = u[component]
+            if self._solver != "exact" or not self._started[component]:
+                out[component] = u[component]
             self.bregman_step(component, v[component], out[component], warm=True)
         return 1
 

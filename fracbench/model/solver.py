@@ -154,7 +154,7 @@ def solve_level(
     frame0, frame1 : ndarray, shape (H, W)
         The frames at this scale, 0..255.
     u : ndarray, shape (2, H, W)
-        Initial flow; never changed.
+        Initial flow; overwritten.
     params : FlowParams
         Parameters.
     regularizer : Regularizer
@@ -177,7 +177,6 @@ def solve_level(
     gradient1 = central_gradient(frame1, params.gradient_scale)
     linear = Linearization(np.empty_like(frame0), np.empty_like(gradient1))
     u0 = np.zeros_like(u)
-    u = u.copy()
     for _ in range(params.n_warps):
         if params.relinearise:
             u0 = u
