@@ -122,10 +122,12 @@ def _build_parser() -> argparse.ArgumentParser:
     report = add("report", _report, "run what is missing of the whole paper; write everything on one HTML page")
     report.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="dataset=, paths. and parallel only")
     report.add_argument("--jobs", type=int, help="worker processes (default: 2)")
+    report.add_argument("--dry-run", action="store_true", help="count points and minutes, compute nothing")
     report.add_argument("--small", action="store_true", help=_SMALL)
     claims = add("claims", _claims, "judge the paper's claims by what is stored; compute nothing")
     claims.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="dataset= and paths. only")
     claims.add_argument("--small", action="store_true", help="judge the thinned grids")
+    claims.add_argument("--readme", type=Path, metavar="FILE", help="renew the answer between the markers in FILE")
     run = add("run", _run, "compute one configured flow; write it as .flo and as a picture")
     _add_overrides(run, grid=False)
     estimate = add("estimate", _estimate, "compute the flow between two images of your own")
@@ -237,7 +239,7 @@ def _report(arguments: argparse.Namespace) -> int:
     from fracbench import reproduce
 
     settings = _settings("report", arguments.overrides)
-    failed = reproduce.report(settings, jobs=arguments.jobs, small=arguments.small)
+    failed = reproduce.report(settings, jobs=arguments.jobs, small=arguments.small, dry_run=arguments.dry_run)
     return EXIT_FAILED if failed else EXIT_DONE
 
 
@@ -245,7 +247,7 @@ def _claims(arguments: argparse.Namespace) -> int:
     from fracbench import reproduce
 
     settings = _settings("claims", arguments.overrides)
-    for line in reproduce.judge(settings, small=arguments.small):
+    for line in reproduce.judge(settings, small=arguments.small, readme=arguments.readme):
         console.say(line)
     return EXIT_DONE
 

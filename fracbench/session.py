@@ -74,7 +74,7 @@ def conduct(
         console.note(f"note: {notice}")
     results, workers = plan.config.results, jobs or plan.config.parallel.jobs
     if dry_run:
-        _announce(plan, results, workers, rerun_failed)
+        announce(plan, results, workers, rerun_failed=rerun_failed)
         return Conducted(plan)
     report, artefact = perform(experiment, plan, workers, rerun_failed=rerun_failed)
     _say_computed(report)
@@ -137,7 +137,8 @@ def require_workers(jobs: int) -> None:
         raise InputError(f"--jobs must be at least 1, got {jobs}")
 
 
-def _announce(plan: Plan, results: Path, jobs: int, rerun_failed: bool) -> None:
+def announce(plan: Plan, results: Path, jobs: int, *, rerun_failed: bool = False) -> None:
+    """Say how many points a plan has, how many are stored, and the minutes that the others take."""
     from fracbench.harness.cost import expected_seconds
 
     with Store(results / STORE, readonly=True) as store:
@@ -145,7 +146,7 @@ def _announce(plan: Plan, results: Path, jobs: int, rerun_failed: bool) -> None:
         seconds, measured = expected_seconds(todo.values(), store.rows("done"), jobs)
     basis = "from stored points of the same methods" if measured else "rough: nothing like it is stored yet"
     console.say(
-        f"{len(plan.points)} points, {report.reused} stored, {len(todo)} to compute on {jobs} processes: "
+        f"{len(plan.unique())} points, {report.reused} stored, {len(todo)} to compute on {jobs} processes: "
         f"about {seconds / 60:.1f} minutes ({basis})"
     )
     _say_settings(plan)

@@ -12,6 +12,7 @@ from fracbench.data.files import write_flo, write_image
 from fracbench.data.synthetic import scene
 from fracbench.errors import DataError
 from fracbench.harness.store import Row
+from fracbench.report import drawing, style
 
 
 @pytest.fixture(scope="session")
@@ -74,6 +75,17 @@ def no_middlebury(monkeypatch) -> None:
 
     monkeypatch.setattr(middlebury_data, "_look_up", lambda explicit: None)
     monkeypatch.setattr(middlebury_data, "download", unreachable)
+
+
+@pytest.fixture
+def unwritten(monkeypatch) -> None:
+    """Figures are made but not written, which takes seconds; their files are listed all the same."""
+
+    def draw(stem, make, *shown, **looks):
+        make(*shown, **looks)
+        return style.figure_files(stem)
+
+    monkeypatch.setattr(drawing, "draw", draw)
 
 
 @pytest.fixture

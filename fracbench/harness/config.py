@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 from fracbench.data.regions import Region
 from fracbench.errors import InputError, unknown_name
 from fracbench.harness.assets import asset
+from fracbench.harness.composed import remembered
 from fracbench.methods.registry import Method, get_method
 from fracbench.model.params import FlowParams
 
@@ -173,12 +174,6 @@ def load_config(choices: Mapping[str, str]) -> RunConfig:
 
 @lru_cache(maxsize=256)
 def _compose(choices: tuple[tuple[str, str], ...]) -> dict[str, Any]:
-    from hydra import compose, initialize_config_dir
-    from hydra.errors import HydraException
-    from omegaconf import OmegaConf
-    from omegaconf.errors import OmegaConfBaseException
-    from yaml import YAMLError
-
     names = dict(choices)
     region = names.pop("region", None)
     sequence = names.pop("sequence", None)
@@ -188,17 +183,27 @@ def _compose(choices: tuple[tuple[str, str], ...]) -> dict[str, Any]:
     elif sequence is not None:
         overrides.append(f"sequence={sequence}")
     folder = asset("conf").resolve()
-    try:
-        with warnings.catch_warnings(), initialize_config_dir(str(folder), version_base="1.3"):
-            warnings.simplefilter("ignore")
-            composed = compose("config", overrides=overrides)
-        raw: dict[str, Any] = OmegaConf.to_container(composed, resolve=True)  # type: ignore[assignment]
-    except (HydraException, OmegaConfBaseException, YAMLError) as exc:
-        raise InputError(f"configuration {folder}: {' '.join(str(exc).split())}") from exc
+    raw: dict[str, Any] = remembered(folder, choices, lambda: _by_hydra(folder, overrides))
     if region not in (None, "none") and sequence not in (None, raw["region"]["sequence"]):
         raise InputError(f"region={region} belongs to sequence={raw['region']['sequence']}, not to {sequence}")
     raw["sequence"]["key"] = raw["region"]["sequence"] if raw["region"] else (sequence or _default("sequence"))
     return raw
+
+
+def _by_hydra(folder: Path, overrides: list[str]) -> Any:
+    from hydra import compose, initialize_config_dir
+    from hydra.errors import HydraException
+    from omegaconf import OmegaConf
+    from omegaconf.errors import OmegaConfBaseException
+    from yaml import YAMLError
+
+    try:
+        with warnings.catch_warnings(), initialize_config_dir(str(folder), version_base="1.3"):
+            warnings.simplefilter("ignore")
+            composed = compose("config", overrides=overrides)
+        return OmegaConf.to_container(composed, resolve=True)
+    except (HydraException, OmegaConfBaseException, YAMLError) as exc:
+        raise InputError(f"configuration {folder}: {' '.join(str(exc).split())}") from exc
 
 
 def _default(group: str) -> str:
