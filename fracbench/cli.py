@@ -28,8 +28,8 @@ class _Parser(argparse.ArgumentParser):
         given = message.partition("invalid choice: '")[2].partition("'")[0]
         if given and choices:
             guess = nearest(given, choices)
-            hint = f"did you mean {guess!r}? " if guess else ""
-            message = f"unknown command {given!r}: {hint}(allowed: {', '.join(choices)})"
+            hint = f": did you mean {guess!r}?" if guess else ""
+            message = f"unknown command {given!r}{hint} (allowed: {', '.join(choices)})"
         raise InputError(" ".join(message.split()))
 
     def _subparsers_actions(self) -> list[Any]:
@@ -145,6 +145,11 @@ def _build_parser() -> argparse.ArgumentParser:
     check.add_argument("names", nargs="*", metavar="NAME", help="stored tables (default: all)")
     check.add_argument("--jobs", type=int, default=2, help="worker processes (default: 2)")
     check.add_argument("--update", action="store_true", help="rewrite the stored tables instead")
+    check.add_argument(
+        "--spread",
+        action="store_true",
+        help="measure how far the tables move where nothing changed; with --update, write the tolerances",
+    )
     check.add_argument("--reason", default="", help="why they change; recorded beside them")
     bench = add("bench", _bench, "time the methods and the peers that are installed, interleaved, warm")
     bench.add_argument("--repeats", type=int, default=5, help="timed rounds; the median counts (default: 5)")
@@ -152,7 +157,7 @@ def _build_parser() -> argparse.ArgumentParser:
     bench.add_argument("--only", default="", metavar="NAME,...", help="contenders, by beginning of name")
     _add_overrides(bench, grid=False)
     data = add("data", _data, "say where the Middlebury data are and whether they are whole; fetch them")
-    data.add_argument("--download", action="store_true", help="download what is missing into the user's cache")
+    data.add_argument("--download", action="store_true", help="download what is missing, beside what there is")
     add("methods", _methods, "list the methods and their parameters")
     return parser
 
@@ -288,12 +293,15 @@ def _estimate(arguments: argparse.Namespace) -> int:
 
 
 def _check(arguments: argparse.Namespace) -> int:
-    from fracbench import session
+    from fracbench import upkeep
 
-    if arguments.update:
-        session.update_references(arguments.names, arguments.reason, jobs=arguments.jobs)
+    if arguments.spread:
+        upkeep.measure_spread(arguments.names, jobs=arguments.jobs, update=arguments.update)
         return EXIT_DONE
-    return EXIT_DONE if session.check_references(arguments.names, jobs=arguments.jobs) else EXIT_CHECK
+    if arguments.update:
+        upkeep.update_references(arguments.names, arguments.reason, jobs=arguments.jobs)
+        return EXIT_DONE
+    return EXIT_DONE if upkeep.check_references(arguments.names, jobs=arguments.jobs) else EXIT_CHECK
 
 
 def _bench(arguments: argparse.Namespace) -> int:
@@ -312,7 +320,7 @@ def _data(arguments: argparse.Namespace) -> int:
     from fracbench.data import middlebury
 
     if arguments.download:
-        middlebury.download(middlebury.cache_folder())
+        middlebury.download(middlebury.download_folder())
     location = middlebury.find()
     console.say(f"Middlebury: {location.folder} (from {location.source})")
     whole = True

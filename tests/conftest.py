@@ -11,6 +11,7 @@ from fracbench.data import middlebury as middlebury_data
 from fracbench.data.files import write_flo, write_image
 from fracbench.data.synthetic import scene
 from fracbench.errors import DataError
+from fracbench.harness import regression, tolerances
 from fracbench.harness.store import Row
 
 
@@ -32,6 +33,17 @@ def work(tmp_path, monkeypatch) -> Path:
     monkeypatch.delenv("FRACBENCH_DATA", raising=False)
     monkeypatch.chdir(tmp_path)
     return tmp_path
+
+
+@pytest.fixture
+def reference(work, monkeypatch) -> Path:
+    """The folder for stored tables of a project of its own, which the working folder is; nothing is in it."""
+    folder = work / "results" / "reference"
+    folder.mkdir(parents=True)
+    for module in (regression, tolerances):
+        monkeypatch.setattr(module, "asset", lambda relative: work / relative)
+    monkeypatch.setattr(regression, "checkout", lambda: work)
+    return folder
 
 
 @pytest.fixture

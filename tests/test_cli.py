@@ -18,8 +18,9 @@ from fracbench.cli import EXIT_CHECK, EXIT_DONE, EXIT_FAILED, EXIT_INPUT
 from fracbench.data import middlebury as middlebury_data
 from fracbench.data.files import read_flow, read_image
 from fracbench.evaluation.metrics import flow_errors
-from fracbench.harness import execute, regression
+from fracbench.harness import execute
 from fracbench.harness.store import Store
+from fracbench.harness.tolerances import MEASURED
 from fracbench.methods.registry import METHODS
 
 COMMANDS = ("sweep", "table", "figure", "experiment", "run", "estimate", "check", "data", "methods")
@@ -381,17 +382,13 @@ def test_a_flow_on_a_stand_in_says_so_in_its_name(cli, work, no_middlebury):
 
 
 @pytest.fixture
-def project(work, tiny, monkeypatch) -> Path:
+def project(work, tiny, reference) -> Path:
     (work / "experiments").mkdir()
     grid = ", ".join([*tiny, "'alpha=0.5,1'"])
     (work / "experiments" / "mini.yaml").write_text(f"title: Mini\ngrid: [{grid}]\n")
-    folder = work / "results" / "reference"
-    folder.mkdir(parents=True)
     tolerance = 'absolute = 1e-6\nrelative = 1e-3\nbasis = "b"\nreason = "r"\n'
-    (folder / "tolerances.toml").write_text("".join(f"[{name}]\n{tolerance}" for name in regression.MEASURED))
-    monkeypatch.setattr(regression, "asset", lambda relative: work / relative)
-    monkeypatch.setattr(regression, "checkout", lambda: work)
-    return folder
+    (reference / "tolerances.toml").write_text("".join(f"[{name}]\n{tolerance}" for name in MEASURED))
+    return reference
 
 
 def test_check_says_what_holds_and_which_cell_moved(cli, project):
@@ -472,9 +469,8 @@ def test_the_state_of_the_data_is_told(cli, registered):
 def test_data_can_be_fetched(cli, registered, monkeypatch):
     fetched = []
     monkeypatch.setattr(middlebury_data, "download", fetched.append)
-    monkeypatch.setattr(middlebury_data, "cache_folder", lambda: Path("cache"))
     assert cli("data", "--download").code == EXIT_DONE
-    assert fetched == [Path("cache")]
+    assert fetched == [registered]
     assert cli("data").code == EXIT_DONE
     assert len(fetched) == 1
 
