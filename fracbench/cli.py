@@ -151,6 +151,12 @@ def _build_parser() -> argparse.ArgumentParser:
         help="measure how far the tables move where nothing changed; with --update, write the tolerances",
     )
     check.add_argument("--reason", default="", help="why they change; recorded beside them")
+    status = add("status", _status, "say what is done, failed, stale or missing, and which command goes on")
+    status.add_argument("words", nargs="*", metavar="EXPERIMENT|KEY=VALUE", help="default: all; dataset=, paths.")
+    status.add_argument("--json", action="store_true", help="print JSON")
+    compare = add("compare", _compare, "compare two stores, or the stored tables of two commits, cell by cell")
+    for side in ("first", "second"):
+        compare.add_argument(side, help="a store or folder of results, STORE@COMMIT, or a commit")
     bench = add("bench", _bench, "time the methods and the peers that are installed, interleaved, warm")
     bench.add_argument("--repeats", type=int, default=5, help="timed rounds; the median counts (default: 5)")
     bench.add_argument("--threads", type=int, default=1, help="of the solver, BLAS and OpenCV (default: 1)")
@@ -302,6 +308,20 @@ def _check(arguments: argparse.Namespace) -> int:
         upkeep.update_references(arguments.names, arguments.reason, jobs=arguments.jobs)
         return EXIT_DONE
     return EXIT_DONE if upkeep.check_references(arguments.names, jobs=arguments.jobs) else EXIT_CHECK
+
+
+def _status(arguments: argparse.Namespace) -> int:
+    from fracbench import upkeep
+
+    _settings("status", [word for word in arguments.words if "=" in word])
+    upkeep.show_status(arguments.words, as_json=arguments.json)
+    return EXIT_DONE
+
+
+def _compare(arguments: argparse.Namespace) -> int:
+    from fracbench import upkeep
+
+    return EXIT_DONE if upkeep.compare_runs(arguments.first, arguments.second) else EXIT_CHECK
 
 
 def _bench(arguments: argparse.Namespace) -> int:

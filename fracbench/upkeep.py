@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 
 from fracbench import console
 from fracbench.errors import InputError, unknown_name
-from fracbench.session import require_workers
+from fracbench.session import STORE, require_workers
 
 if TYPE_CHECKING:
     from fracbench.harness.regression import Verdict
+    from fracbench.harness.status import Standing
 
 
 def check_references(names: Sequence[str], *, jobs: int) -> bool:
@@ -33,7 +34,8 @@ def check_references(names: Sequence[str], *, jobs: int) -> bool:
     InputError
         An unknown name, or no table at all.
     """
-    from fracbench.harness import regression
+    from fracbench.harness import regression, tolerances
+    from fracbench.model import SOLVER_VERSION
     from fracbench.report.tables import tidy
 
     require_workers(jobs)
@@ -45,6 +47,9 @@ def check_references(names: Sequence[str], *, jobs: int) -> bool:
             verdicts.append(regression.check(name, jobs=jobs, tabulate=tidy, on_row=advance))
         say_verdict(verdicts[-1])
     compared = [verdict for verdict in verdicts if not verdict.skipped]
+    old = tolerances.outdated((verdict.name for verdict in compared), SOLVER_VERSION)
+    if old:
+        console.note(f"note: the spread of {', '.join(old)} is not that of this solver: check --spread --update")
     return bool(compared) and not any(verdict.differences for verdict in compared)
 
 
@@ -127,5 +132,90 @@ def measure_spread(names: Sequence[str], *, jobs: int, update: bool) -> None:
         measured = spread.measure(wanted, jobs=jobs, tabulate=tidy, on_done=advance)
     records = [record for name, table in measured.items() for record in spread.summary(name, table)]
     console.show_table(pd.DataFrame(records), "largest relative differences")
-    for path in tolerances.write(measured) if update else ():
+    for path in tolerances.write(measured, regression.origin()) if update else ():
         console.say(f"wrote {path}")
+
+
+def show_status(words: Sequence[str], *, as_json: bool) -> None:
+    """Print how far experiments are, and which command goes on.
+
+    Parameters
+    ----------
+    words : sequence of str
+        Names of experiments, all if there are none; and overrides: data set, paths.
+    as_json : bool
+        Print JSON.
+
+    Raises
+    ------
+    InputError
+        An unknown experiment, or a store that cannot be read.
+    """
+    import json
+
+    from fracbench.harness.experiment import list_experiments
+    from fracbench.harness.plan import plan_experiment
+    from fracbench.harness.status import standing
+    from fracbench.harness.store import Store
+
+    settings = [word for word in words if "=" in word]
+    names, known = [word for word in words if "=" not in word], list_experiments()
+    for name in names:
+        if name not in known:
+            raise unknown_name("experiment", name, known)
+    path = plan_experiment({}, settings, allow_download=False).config.results / STORE
+    with Store(path, readonly=True) as store:
+        standings = [standing(name, settings, store) for name in names or known]
+        counts = store.counts()
+    if as_json:
+        found = {"store": str(path), "rows": counts, "experiments": [one.as_dict() for one in standings]}
+        console.say(json.dumps(found, indent=2))
+        return
+    rows = ", ".join(f"{count} {status}" for status, count in counts.items() if count) or "no rows"
+    console.say(f"store {path}: {rows}")
+    _say_standings(standings)
+
+
+def _say_standings(standings: Sequence[Standing]) -> None:
+    import pandas as pd
+
+    columns = ["experiment", "dataset", "points", "done", "failed", "stale", "missing"]
+    console.show_table(pd.DataFrame([one.as_dict() for one in standings])[columns])
+    for one in standings:
+        if one.error:
+            console.say(f"{one.experiment}: cannot be planned: {one.error}")
+        elif one.command:
+            why = ", ".join(f"{count} {reason}" for reason, count in one.why.items())
+            console.say(f"{one.experiment}: {one.command}{f'  ({why})' if why else ''}")
+
+
+def compare_runs(first: str, second: str) -> bool:
+    """Compare two stores, or the stored tables of two commits, and print what differs.
+
+    Parameters
+    ----------
+    first, second : str
+        See `fracbench.harness.compare.open_side`; the first counts as stored, the second as found.
+
+    Returns
+    -------
+    bool
+        Whether they agree.
+
+    Raises
+    ------
+    InputError
+        A side that is neither, or two of different kinds.
+    """
+    from fracbench.harness.compare import compare_sides, open_side
+    from fracbench.harness.tolerances import load_tolerances
+
+    stored, found, tolerances = open_side(first), open_side(second), load_tolerances()
+    verdicts = compare_sides(stored, found, tolerances)
+    console.say(f"stored: {stored.title}")
+    console.say(f"found: {found.title}")
+    for column, tolerance in tolerances.columns.items():
+        console.say(f"allowed for {column}: {tolerance}")
+    for verdict in verdicts:
+        say_verdict(verdict, "agree")
+    return not any(verdict.differences for verdict in verdicts)

@@ -290,11 +290,13 @@ def _entries(history: Path) -> list[Any]:
 
 
 def _entry(reason: str, row: Row) -> dict[str, Any]:
-    origin = {key: row.provenance.get(key) for key in ("cpu", "python", "versions", "threads")}
-    return {
-        "reason": reason,
-        "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
-        "solver_version": SOLVER_VERSION,
-        **origin,
-        **provenance.commit(),
-    }
+    """Record why a table was stored, and with what the workers computed it."""
+    computed = {key: row.provenance.get(key) for key in ("cpu", "python", "versions", "threads")}
+    return {"reason": reason, **origin(), **computed}
+
+
+def origin() -> dict[str, Any]:
+    """Return what a stored file owes its numbers to: date, numerics, machine, versions, commit."""
+    machine = {key: provenance.machine()[key] for key in ("cpu", "python", "versions")}
+    date = datetime.datetime.now(datetime.UTC).date().isoformat()
+    return {"date": date, "solver_version": SOLVER_VERSION, **machine, **provenance.commit()}

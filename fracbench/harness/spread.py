@@ -151,7 +151,8 @@ def _relative(usual: str, other: str) -> float:
         return math.inf
     if difference == 0.0:
         return 0.0
-    return difference / abs(reference) if math.isfinite(difference) and reference else math.inf
+    relative = difference / abs(reference) if math.isfinite(difference) and reference else math.inf
+    return float(f"{relative:.3g}")  # as it is written, so that what follows from it does
 
 
 def summary(name: str, table: pd.DataFrame) -> list[dict[str, str]]:

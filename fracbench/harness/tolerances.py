@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -209,13 +209,28 @@ def rounded_up(value: float) -> float:
     return next(step for step in steps if step >= value)
 
 
-def write(spreads: Mapping[str, pd.DataFrame]) -> list[Path]:
+def outdated(names: Iterable[str], solver_version: int) -> list[str]:
+    """Return the stored tables whose spread was never measured, or with another version of the numerics."""
+    folder = asset("results/reference") / "spread"
+
+    def version(name: str) -> Any:
+        try:
+            return json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))["solver_version"]
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+
+    return [name for name in names if version(name) != solver_version]
+
+
+def write(spreads: Mapping[str, pd.DataFrame], origin: Mapping[str, Any]) -> list[Path]:
     """Write spreads, and the tolerances that follow from them and from those of the other tables.
 
     Parameters
     ----------
     spreads : mapping of str to pandas.DataFrame
         By stored table; see `load_spreads`.
+    origin : mapping
+        With what they were measured; written beside each.
 
     Returns
     -------
@@ -241,6 +256,8 @@ def write(spreads: Mapping[str, pd.DataFrame]) -> list[Path]:
         folder / f"{name}.csv": table.to_csv(index=False, lineterminator="\n", float_format="%.3g")
         for name, table in spreads.items()
     }
+    record = json.dumps(dict(origin), indent=2, sort_keys=True) + "\n"
+    contents |= {folder / f"{name}.json": record for name in spreads}
     contents[path] = to_toml(tolerances)
     for file, text in contents.items():
         with atomic_path(file) as temporary:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import tomllib
 
 import pandas as pd
@@ -16,6 +17,7 @@ from fracbench.harness.tolerances import (
     derive,
     load_spreads,
     load_tolerances,
+    outdated,
     rounded_up,
     to_toml,
     write,
@@ -26,6 +28,7 @@ TOML = "\n".join(
     for column in MEASURED
 )
 CELL = '[[cell]]\ntable = "t"\nrow = "grove2, tvl1"\ncolumn = "aepe"\nrelative = 0.05\n'
+ORIGIN = {"solver_version": 7, "cpu": "Abacus"}
 REASONS = dict.fromkeys(MEASURED, "rounding")
 
 
@@ -148,8 +151,13 @@ def test_the_largest_spread_under_any_circumstance_counts():
 
 def test_what_is_written_is_read_and_the_reasons_stay(reference):
     (reference / "tolerances.toml").write_text(TOML)
-    paths = write({"t": spreads([1e-4] * 60 + [1e-2])})
-    assert paths == [reference / "spread" / "t.csv", reference / "tolerances.toml"]
+    paths = write({"t": spreads([1e-4] * 60 + [1e-2])}, ORIGIN)
+    assert paths == [
+        reference / "spread" / "t.csv",
+        reference / "spread" / "t.json",
+        reference / "tolerances.toml",
+    ]
+    assert json.loads(paths[1].read_text()) == ORIGIN
     read = load_tolerances()
     assert {tolerance.reason for tolerance in read.columns.values()} == {"rounding"}
     assert read.columns["aepe"].relative == pytest.approx(5e-4)
@@ -160,16 +168,25 @@ def test_what_is_written_is_read_and_the_reasons_stay(reference):
 
 def test_the_spreads_of_other_tables_count_on(reference):
     (reference / "tolerances.toml").write_text(TOML)
-    write({"t": spreads([1e-2])})
-    write({"u": spreads([1e-4])})
+    write({"t": spreads([1e-2])}, ORIGIN)
+    write({"u": spreads([1e-4])}, ORIGIN)
     assert load_tolerances().columns["aepe"].relative == pytest.approx(5e-2)
-    write({"t": spreads([1e-4])})
+    write({"t": spreads([1e-4])}, ORIGIN)
     assert load_tolerances().columns["aepe"].relative == pytest.approx(5e-4)
+
+
+def test_a_spread_of_other_numerics_is_outdated(reference):
+    (reference / "tolerances.toml").write_text(TOML)
+    write({"t": spreads([1e-4])}, ORIGIN)
+    assert outdated(["t", "u"], 7) == ["u"]
+    assert outdated(["t"], 8) == ["t"]
 
 
 def test_nothing_is_written_of_a_spread_that_is_not_finite(reference):
     (reference / "tolerances.toml").write_text(TOML)
-    assert "no tolerance follows from what was measured" in refusal(lambda: write({"t": spreads([float("inf")])}))
+    assert "no tolerance follows from what was measured" in refusal(
+        lambda: write({"t": spreads([float("inf")])}, ORIGIN)
+    )
     assert [path.name for path in reference.iterdir()] == ["tolerances.toml"]
 
 
