@@ -291,6 +291,24 @@ def test_every_table_is_listed(reference, made_up):
     assert regression.stored_tables() == ["mini", "mini_synthetic"]
 
 
+def test_a_table_of_which_only_the_record_is_left_does_not_hold(reference, made_up):
+    store_table()
+    (reference / "mini.csv").unlink()
+    assert regression.stored_tables() == ["mini"]
+    (said,) = recheck().differences
+    assert str(said) == "all rows: table: stored missing, found present (allowed: the same tables)"
+
+
+def test_a_cell_may_have_a_tolerance_of_its_own():
+    cells = {("t", "venus, tvl1", "aae"): 0.1}
+    tolerances = Tolerances(TOLERANCES.columns, cells)
+    assert compare("t", table(), table(aae=["0.1", "0.21"]), tolerances).differences == []
+    for name, moved in (("t", ["0.105", "0.2"]), ("u", ["0.1", "0.21"]), ("t", ["0.1", "0.23"])):
+        assert len(compare(name, table(), table(aae=moved), tolerances).differences) == 1
+    (said,) = compare("t", table(), table(aae=["0.1", "0.23"]), tolerances).differences
+    assert said.allowed == "1e-06 + 0.1 of the stored"
+
+
 def test_an_unknown_table_offers_the_nearest(reference, made_up):
     store_table()
     assert "unknown stored table 'mimi': did you mean 'mini'?" in refusal(lambda: recheck("mimi"))
