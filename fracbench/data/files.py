@@ -118,6 +118,7 @@ def decode_image(data: bytes, where: str) -> NDArray[Any]:
 
     try:
         with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # on what is damaged: it is read, or it is not
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             with Image.open(io.BytesIO(data), formats=_PICTURES) as image:
                 _require_plausible(image.size, len(data))
