@@ -167,6 +167,12 @@ def test_a_missing_and_an_extra_column_are_differences(column):
     assert f"all rows: {column}: stored missing, found present (allowed: the same columns)" in extra
 
 
+@pytest.mark.parametrize("column", [*MEASURED, *COUNTED])
+def test_a_column_that_both_lack_is_a_difference(column):
+    less = table().drop(columns=column)
+    assert len(differences(less, less)) == len(less)
+
+
 def test_a_column_that_nobody_knows_is_a_difference():
     assert len(differences(table(), table(median=["1", "2"]))) == 1
     assert len(differences(table(median=["1", "2"]), table())) == 1
