@@ -1,6 +1,6 @@
 """How far the stored numbers move where nothing has changed: the basis of the tolerances.
 
-A stored table is computed under circumstances that must not matter: more BLAS threads, double precision, BLAS
+A stored table is computed under circumstances that must not matter: more threads, double precision, BLAS
 kernels and compiled loops for other processors. Each is a process of its own, since kernels are chosen when
 the libraries are loaded.
 """
@@ -41,7 +41,7 @@ class Circumstance:
     environment : mapping of str to str
         Variables that bring it about.
     threads : int
-        BLAS threads.
+        Threads of BLAS and of the solver.
     dtype : str
         Precision; empty for the points' own.
     kernel : str
@@ -58,7 +58,7 @@ class Circumstance:
 #: What `fracbench check` itself computes under.
 USUAL = Circumstance("usual")
 CIRCUMSTANCES = (
-    Circumstance("two BLAS threads", threads=2),
+    Circumstance("two threads", threads=2),
     Circumstance("float64", dtype="float64"),
     *(
         Circumstance(f"BLAS for {core}", {"OPENBLAS_CORETYPE": core}, kernel=core)
@@ -213,7 +213,7 @@ def results_of(plan: Plan, threads: int, dtype: str) -> dict[str, dict[str, Any]
     plan : Plan
         The points.
     threads : int
-        BLAS threads.
+        Threads of BLAS and of the solver.
     dtype : str
         Precision; empty for the points' own.
 
@@ -230,9 +230,10 @@ def results_of(plan: Plan, threads: int, dtype: str) -> dict[str, dict[str, Any]
     from fracbench.harness.task import point_arrays
     from fracbench.methods.registry import get_method
     from fracbench.model.params import FlowParams
+    from fracbench.model.threads import use_threads
 
     found = {}
-    with threadpool_limits(threads):
+    with use_threads(threads), threadpool_limits(threads):
         for key, point in plan.unique().items():
             frame0, frame1, truth, inner = point_arrays(point, plan.folder)
             params = FlowParams().replace(point.params).replace({"dtype": dtype} if dtype else {})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -30,7 +31,7 @@ def mini(monkeypatch):
 
 def test_the_circumstances_are_those_that_must_not_matter():
     names = {one.name for one in CIRCUMSTANCES}
-    assert {"two BLAS threads", "float64", "BLAS for Nehalem", "BLAS for Haswell", "BLAS for SkylakeX"} < names
+    assert {"two threads", "float64", "BLAS for Nehalem", "BLAS for Haswell", "BLAS for SkylakeX"} < names
     assert Circumstance("usual", {}, threads=1, dtype="", kernel="") == USUAL
     assert {one.environment.get("OPENBLAS_CORETYPE", "") for one in CIRCUMSTANCES} >= {"Nehalem", "SkylakeX"}
 
@@ -97,6 +98,16 @@ def test_the_usual_circumstances_are_those_of_the_check():
         outcome = run_point(point, None)
         assert {name: outcome.result[name] for name in results[key]} == results[key]
     assert results_of(plan, 1, "float64") != results
+
+
+def test_threads_reach_the_solver(monkeypatch):
+    from fracbench.model import threads
+
+    seen = []
+    monkeypatch.setattr(threads, "_pool", lambda workers: seen.append(workers) or ThreadPoolExecutor(workers))
+    plan = make_plan(["sequence=synthetic_flat", "n_scales=1", "n_warps=1", "max_iter=1", "boundary=reflect"])
+    results_of(plan, 2, "")
+    assert set(seen) == {1}
 
 
 def test_a_process_takes_on_its_circumstance(monkeypatch):

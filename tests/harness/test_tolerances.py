@@ -43,7 +43,7 @@ def refusal(call) -> str:
 def spreads(values, column="aepe", under="float64") -> pd.DataFrame:
     """A table of spreads: those of one column as given, of the others 0."""
     records = [
-        {"row": f"row {i}", "column": name, "two BLAS threads": 0.0, under: value if name == column else 0.0}
+        {"row": f"row {i}", "column": name, "two threads": 0.0, under: value if name == column else 0.0}
         for i, value in enumerate(values)
         for name in MEASURED
     ]
@@ -141,7 +141,7 @@ def test_a_column_covers_nearly_all_cells_and_the_rest_have_their_own():
 
 def test_the_largest_spread_under_any_circumstance_counts():
     one, other = spreads([1e-3]), spreads([2e-3], under="kernels")
-    both = one.merge(other, on=["row", "column", "two BLAS threads"])
+    both = one.merge(other, on=["row", "column", "two threads"])
     assert derive({"t": both}, REASONS).columns["aepe"].relative == pytest.approx(1e-2)
     assert derive({"t": one}, REASONS).columns["aepe"].relative == pytest.approx(5e-3)
 
