@@ -344,6 +344,14 @@ def test_a_folder_that_holds_no_data(work, refused, monkeypatch, command):
     refused(work, ["data"], "FRACBENCH_DATA=nowhere")
 
 
+@pytest.mark.parametrize("given", ["file", "file/inside", "a" * 300, "~nobody/x"])
+def test_a_place_that_is_no_folder_of_data(work, refused, monkeypatch, given):
+    (work / "file").write_text("x")
+    refused(work, ["sweep", "sequence=grove2", "alpha=1", f"paths.data={given}"], "holds none of the 24")
+    monkeypatch.setenv("FRACBENCH_DATA", given)
+    refused(work, ["data"], f"FRACBENCH_DATA={given}: holds none of the 24")
+
+
 # -- results -------------------------------------------------------------------------------------
 
 
@@ -371,6 +379,16 @@ def test_a_results_folder_under_a_file(work, refused, command):
         (["check", "nothing_of_the_kind"], "unknown stored table 'nothing_of_the_kind'"),
         (["check", "table2", "--update"], 'check --update needs --reason "why'),
         (["check", "--jobs", "0"], "--jobs must be at least 1"),
+        (["check", "--spread", "tabel2"], "unknown stored table 'tabel2': did you mean 'table2'?"),
+        (["check", "--spread", "--jobs", "0"], "--jobs must be at least 1"),
+        (["status", "tabel2"], "unknown experiment 'tabel2': did you mean 'table2'?"),
+        (["status", "alpha=1"], "status: an experiment fixes its own grid"),
+        (["status", "paths.reslts=x"], "unknown key 'paths.reslts'"),
+        (["compare", "nothing", "HEAD"], "'nothing' is neither a store nor a commit"),
+        (["compare", "nothing"], "the following arguments are required: second"),
+        (["compare", "--", "--all", "HEAD"], "'--all' is neither a store nor a commit"),
+        (["sweep"], "sweep: what is to be swept?"),
+        (["bench", "--repeats", "0"], "--repeats and --threads must be at least 1"),
         (["run", "alpha=1,2", *FLAT], "run takes one point, not a grid"),
         (["run", "sequence=synthetic_*"], "run takes one point, sequence=synthetic_* stands for 8"),
     ],

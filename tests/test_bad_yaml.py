@@ -31,6 +31,8 @@ CONFIGS = [
     ("config.yaml", "results: results", "results: 7", "paths: `results` must be a text, got 7"),
     ("config.yaml", "results: results", "results: null", "paths: `results` must be a text, got None"),
     ("config.yaml", "results: results", "results: ''", "paths.results must name a folder"),
+    ("config.yaml", "results: results", 'results: "a\\0b"', "paths.results must name a folder, got 'a\\x00b'"),
+    ("config.yaml", "data: null", 'data: "a\\nb"', "paths.data must name a folder"),
     ("config.yaml", "results: results", "reslts: results", "paths: unknown key 'reslts': did you mean 'results'?"),
     ("config.yaml", "data: null", "data: {a: 1}", "paths: `data` must be a text or null, got {'a': 1}"),
     ("config.yaml", "params: {}", "params: 3", "params: must be a mapping, got 3"),
@@ -109,6 +111,12 @@ ESCAPES = [
         "",
         "sequence: {name: Venus, dataset: middlebury, stand_in: ../x}",
         "`stand_in` must",
+    ),
+    (
+        "protocol/own.yaml",
+        "",
+        f"protocol: {'long' * 50}",
+        "`protocol` must be a name of letters, digits, _, -, + and .",
     ),
     ("protocol/own.yaml", "", "protocol: ../../evil", "`protocol` must be a name of letters"),
 ]

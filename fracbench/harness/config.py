@@ -247,8 +247,9 @@ class _Paths:
     data: str | None = None
 
     def __post_init__(self) -> None:
-        if not self.results:
-            raise InputError("paths.results must name a folder")
+        for name, path in vars(self).items():
+            if path is not None and (not path or not path.isprintable()):
+                raise InputError(f"paths.{name} must name a folder, got {path!r}")
 
 
 def _sequence(raw: Any, region: Region | None, choices: Mapping[str, str], where: str) -> SequenceConfig:

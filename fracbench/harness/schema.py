@@ -19,6 +19,7 @@ from fracbench.errors import InputError, unknown_name
 T = TypeVar("T")
 
 _NAME = re.compile(r"[A-Za-z0-9]\w*(?:[.+-]\w+)*", re.ASCII)
+_LONGEST = 80
 _PACKAGE = re.compile(r"^\s*#\s*@package\s+(?!_global_\s*$)(\S.*)", re.MULTILINE)
 _SPECIAL = re.compile(r"hydra|_\w+_")
 _WORDS = {
@@ -52,10 +53,11 @@ def require_name(value: Any, what: str, where: str) -> str:
     Raises
     ------
     InputError
-        It is no text, or has other characters than letters, digits and ``_ . + -`` between them.
+        It is no text, too long, or has other characters than letters, digits and ``_ . + -`` between them.
     """
-    if not isinstance(value, str) or not _NAME.fullmatch(value):
-        raise InputError(f"{where}: {what} must be a name of letters, digits, _, -, + and ., got {value!r}")
+    if not isinstance(value, str) or not _NAME.fullmatch(value) or len(value) > _LONGEST:
+        rule = f"a name of letters, digits, _, -, + and . (at most {_LONGEST})"
+        raise InputError(f"{where}: {what} must be {rule}, got {value!r}")
     return value
 
 
