@@ -252,6 +252,25 @@ def test_there_are_many_cases():
     assert len(CONFIGS) + len(CODE) + len(ESCAPES) + len(EXPERIMENTS) >= 60
 
 
+BOMB = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
+    f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 12)
+)
+
+
+def test_a_small_file_that_grows_without_end_is_refused(own_conf, work, refused):
+    """Lists of lists of lists, each named once: 9^12 texts."""
+    (own_conf / "protocol" / "own.yaml").write_text("# @package _global_\n" + BOMB)
+    refused(work, ["sweep", *SCENE, "protocol=own"], "own.yaml: aliases (&NAME, *NAME)")
+    (own_conf / "protocol" / "own.yaml").unlink()
+    (work / "experiments").mkdir()
+    for key in ("options", "grids", "title"):
+        indented = "".join(f"  {line}\n" for line in BOMB.splitlines())
+        grid = "" if key == "grids" else "grid: [sequence=synthetic_flat]\n"
+        (work / "experiments" / "mine.yaml").write_text(f"{grid}{key}:\n{indented}")
+        said = refused(work, ["experiment", "mine", "dataset=synthetic"])
+        assert len(said) < 400
+
+
 def test_results_may_be_anywhere_the_user_says(work, cli):
     """The folder itself is the user's choice, on the command line."""
     (work / "experiments").mkdir()

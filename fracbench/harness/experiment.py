@@ -85,10 +85,13 @@ def load_experiment(name: str) -> Experiment:
     for token in (token for tokens in grids.values() for token in tokens):
         if token.startswith(("paths.", "parallel")):
             raise InputError(f"{path}: {token!r}: where and how points are run is said on the command line")
+    for key in ("title", "artefact"):
+        if not isinstance(raw.get(key, ""), str):
+            raise InputError(f"{path}: `{key}` must be a text")
     return Experiment(
         name,
-        str(raw.get("title", name)),
-        str(raw.get("artefact", "sweep")),
+        raw.get("title", name),
+        raw.get("artefact", "sweep"),
         _tuples(grids),
         mapping(options, f"{path}: `options`"),
     )

@@ -7,6 +7,7 @@ imported, and ``_target_`` names something to be called. Neither has a place her
 from __future__ import annotations
 
 import re
+import reprlib
 import types
 import typing
 from collections.abc import Collection, Iterator, Mapping
@@ -29,7 +30,6 @@ _WORDS = {
     bool: "true or false",
     types.NoneType: "null",
     tuple: "a list",
-    dict: "a mapping",
 }
 
 
@@ -57,7 +57,7 @@ def require_name(value: Any, what: str, where: str) -> str:
     """
     if not isinstance(value, str) or not _NAME.fullmatch(value) or len(value) > _LONGEST:
         rule = f"a name of letters, digits, _, -, + and . (at most {_LONGEST})"
-        raise InputError(f"{where}: {what} must be {rule}, got {value!r}")
+        raise InputError(f"{where}: {what} must be {rule}, got {_short(value)}")
     return value
 
 
@@ -71,7 +71,7 @@ def mapping(raw: Any, where: str, allowed: Collection[str] | None = None) -> dic
     """
     if not isinstance(raw, Mapping):
         keys = f" with the keys {', '.join(sorted(allowed))}" if allowed else ""
-        raise InputError(f"{where}: must be a mapping{keys}, got {raw!r}")
+        raise InputError(f"{where}: must be a mapping{keys}, got {_short(raw)}")
     for key in raw:
         if not isinstance(key, str):
             raise InputError(f"{where}: the key {key!r} is no text")
@@ -108,7 +108,7 @@ def record(kind: type[T], raw: Any, where: str) -> T:
         options = typing.get_args(hints[key]) if isinstance(hints[key], types.UnionType) else (hints[key],)
         if not any(_is(value, hint) for hint in options):
             wanted = " or ".join(map(_word, options))
-            raise InputError(f"{where}: `{key}` must be {wanted}, got {value!r}")
+            raise InputError(f"{where}: `{key}` must be {wanted}, got {_short(value)}")
     try:
         return kind(**values)
     except TypeError as exc:
@@ -124,9 +124,6 @@ def _is(value: Any, hint: Any) -> bool:
         return isinstance(value, int | float) and not isinstance(value, bool)
     if kind is int:
         return isinstance(value, int) and not isinstance(value, bool)
-    if kind is dict:
-        keys, values = items
-        return isinstance(value, dict) and all(_is(k, keys) and _is(v, values) for k, v in value.items())
     if kind is list:
         return isinstance(value, list) and all(_is(item, items[0]) for item in value)
     if kind is tuple:
@@ -174,9 +171,28 @@ def _refuse_code(path: Path, *_: int) -> None:
         raise InputError(f"{path}: the package must be _global_, got {package[1].strip()!r}")
     if raw is None:
         return
+    _refuse_aliases(raw, str(path), set())
     for word in _words(mapping(raw, str(path))):
         if _SPECIAL.fullmatch(word.strip("/ ").partition("/")[0]):
             raise InputError(f"{path}: {word!r} is not allowed: a configuration is data and runs no code")
+
+
+def _refuse_aliases(raw: Any, where: str, seen: set[int]) -> None:
+    """Refuse a list or mapping that stands in two places: a few nested ones are more than memory holds."""
+    if not isinstance(raw, Mapping | list):
+        return
+    if id(raw) in seen:
+        raise InputError(f"{where}: aliases (&NAME, *NAME) of lists and mappings are not allowed; write them out")
+    seen.add(id(raw))
+    for item in raw.values() if isinstance(raw, Mapping) else raw:
+        _refuse_aliases(item, where, seen)
+
+
+def _short(value: Any) -> str:
+    """Return a value on one line, cut short where it is long or deep."""
+    short = reprlib.Repr()
+    short.maxstring = short.maxother = 100
+    return short.repr(value)
 
 
 def _words(raw: Any) -> Iterator[str]:
