@@ -12,7 +12,9 @@ import pytest
 import fracbench
 from fracbench.harness import config, plan
 from fracbench.harness.assets import asset
+from fracbench.harness.experiment import list_experiments, load_experiment
 from fracbench.harness.schema import refuse_code, require_name
+from fracbench.report.options import require_options
 
 SCENE = ["alpha=1", "dataset=synthetic", "--dry-run"]
 REGION = "defaults: [{override /sequence: grove2}]\nregion: "
@@ -227,6 +229,11 @@ def test_ordinary_names_are_allowed(name):
 def test_the_projects_own_files_are_plain_data():
     refuse_code(asset("conf"))
     refuse_code(asset("experiments"))
+
+
+@pytest.mark.parametrize("name", list_experiments())
+def test_the_projects_experiments_have_options_that_are_known(name):
+    require_options(load_experiment(name))
 
 
 def test_nothing_in_the_package_reads_code_out_of_data():

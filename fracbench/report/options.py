@@ -61,7 +61,20 @@ class SolverStudy:
     limit: int | None = None
 
 
+@dataclass(frozen=True)
+class Convergence:
+    """Of ``convergence``: what is solved, and where the solvers stop."""
+
+    region: str | None = None
+    alphas: list[float] | None = None
+    gap: float | None = None
+    last_gap: float | None = None
+    seconds: float | None = None
+    iterations: int | None = None
+
+
 _BY_ARTEFACT: dict[str, type] = {
+    "convergence": Convergence,
     "frames": Frames,
     "region_boxes": RegionBoxes,
     "family": Family,
