@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fracbench import console
-from fracbench.errors import InputError, unknown_name
+from fracbench.errors import InputError
 from fracbench.harness import execute
 from fracbench.harness.experiment import Experiment
 from fracbench.harness.grid import parse_overrides
@@ -183,86 +183,6 @@ def say_failures(report: execute.Report) -> None:
             f"{len(report.failed)} of {len(report.rows)} points are not done (first: {report.failed[0].error}); "
             "the same command with --rerun failed tries them again"
         )
-
-
-def check_references(names: Sequence[str], *, jobs: int) -> bool:
-    """Recompute stored tables and say, cell by cell, what moved.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Stored tables; all if empty.
-    jobs : int
-        Worker processes.
-
-    Returns
-    -------
-    bool
-        Whether all that could be compared hold.
-
-    Raises
-    ------
-    InputError
-        An unknown name, or no table at all.
-    """
-    from fracbench.harness import regression
-    from fracbench.report.tables import tidy
-
-    require_workers(jobs)
-    wanted = _stored(names)
-    holds, compared = True, 0
-    for name in wanted:
-        plan = regression.plan_of(name)
-        with console.progress(len(plan.unique()) if plan else 0, name) as advance:
-            verdict = regression.check(name, jobs=jobs, tabulate=tidy, on_row=advance)
-        if verdict.skipped:
-            console.say(f"{name}: SKIPPED: {verdict.skipped}")
-            continue
-        compared += 1
-        word = "holds" if not verdict.differences else f"{len(verdict.differences)} DIFFERENCES"
-        console.say(f"{name}: {word} ({verdict.cells} cells compared)")
-        for difference in verdict.differences:
-            console.say(f"  {difference}")
-        holds = holds and not verdict.differences
-    return holds and compared > 0
-
-
-def _stored(names: Sequence[str]) -> list[str]:
-    from fracbench.harness.regression import stored_tables
-
-    tables = stored_tables()
-    for name in names:
-        if name not in tables:
-            raise unknown_name("stored table", name, tables)
-    if not tables:
-        raise InputError("check: there is no stored table under results/reference")
-    return list(names) or tables
-
-
-def update_references(names: Sequence[str], reason: str, *, jobs: int) -> None:
-    """Rewrite stored tables and record the reason.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Stored tables; all if empty. An experiment that is not stored yet becomes so.
-    reason : str
-        Why the numbers change.
-    jobs : int
-        Worker processes.
-
-    Raises
-    ------
-    InputError
-        Anything that the user can put right; nothing is written then.
-    """
-    from fracbench.harness import regression
-    from fracbench.report.tables import tidy
-
-    require_workers(jobs)
-    for name in list(names) or _stored(names):
-        for path in regression.update(name, reason, jobs=jobs, tabulate=tidy):
-            console.say(f"wrote {path}")
 
 
 def run_one(tokens: Sequence[str]) -> None:
