@@ -7,19 +7,18 @@ never computed again. The files are JSON, like the store's columns; nothing in t
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import time
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from fracbench.harness.store import Row, Store
 
-try:
-    import fcntl
-except ImportError:  # Windows: two sweeps at once are as safe, but do not share the work
-    fcntl = None  # type: ignore[assignment]
+#: None on Windows, where two sweeps at once are as safe but do not share the work.
+fcntl: Any = importlib.import_module("fcntl") if importlib.util.find_spec("fcntl") else None
 
 _STALE_SECONDS = 60.0
 
