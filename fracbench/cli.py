@@ -55,7 +55,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         console.complain(" ".join(str(exc).splitlines()))  # a file's name may hold a line break
         return EXIT_INPUT
     except KeyboardInterrupt:
-        console.complain("interrupted; the points that were finished are stored")
+        console.complain("interrupted; what was finished is stored, and the same command goes on from there")
         return EXIT_INTERRUPTED
     except BrokenPipeError:
         # Whoever read our output has gone, e.g. `| head`: not an error, but nothing more can be printed.
@@ -122,6 +122,7 @@ def _build_parser() -> argparse.ArgumentParser:
     report = add("report", _report, "run what is missing of the whole paper; write everything on one HTML page")
     report.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="dataset=, paths. and parallel only")
     report.add_argument("--jobs", type=int, help="worker processes (default: 2)")
+    report.add_argument("--timeout", metavar="SECONDS", help=_TIMEOUT)
     report.add_argument("--small", action="store_true", help=_SMALL)
     claims = add("claims", _claims, "judge the paper's claims by what is stored; compute nothing")
     claims.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="dataset= and paths. only")
@@ -165,6 +166,7 @@ _GRID_HELP = (
 )
 
 
+_TIMEOUT = "give a point up whose estimate takes longer (default: no limit)"
 _SMALL = "thin every grid, to try it out; the names of files end in _small"
 
 
@@ -172,6 +174,7 @@ def _add_overrides(parser: argparse.ArgumentParser, *, grid: bool = True) -> Non
     parser.add_argument("overrides", nargs="*", metavar="KEY=GRID" if grid else "KEY=VALUE")
     if grid:
         parser.add_argument("--jobs", type=int, help="worker processes (default: 2)")
+        parser.add_argument("--timeout", metavar="SECONDS", help=_TIMEOUT)
         parser.add_argument("--dry-run", action="store_true", help="count points and minutes, compute nothing")
         parser.add_argument("--small", action="store_true", help=_SMALL)
         parser.add_argument("--rerun", choices=["failed"], help="compute points again that failed")
@@ -236,7 +239,7 @@ def _settings(name: str, overrides: Sequence[str]) -> Sequence[str]:
 def _report(arguments: argparse.Namespace) -> int:
     from fracbench import reproduce
 
-    settings = _settings("report", arguments.overrides)
+    settings = [*_settings("report", arguments.overrides), *_limit(arguments)]
     failed = reproduce.report(settings, jobs=arguments.jobs, small=arguments.small)
     return EXIT_FAILED if failed else EXIT_DONE
 
@@ -256,13 +259,17 @@ def _conduct(experiment: Experiment, settings: Sequence[str], arguments: argpars
 
     outcome = session.conduct(
         experiment,
-        settings,
+        [*settings, *_limit(arguments)],
         jobs=arguments.jobs,
         dry_run=arguments.dry_run,
         rerun_failed=arguments.rerun == "failed",
         small=arguments.small,
     )
     return EXIT_FAILED if outcome.failed else EXIT_DONE
+
+
+def _limit(arguments: argparse.Namespace) -> list[str]:
+    return [] if arguments.timeout is None else [f"parallel.timeout={arguments.timeout}"]
 
 
 def _run(arguments: argparse.Namespace) -> int:

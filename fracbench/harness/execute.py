@@ -105,7 +105,6 @@ def run(
     store: Store,
     *,
     jobs: int,
-    timeout: float | None = None,
     rerun_failed: bool = False,
     on_start: Callable[[Report, int], None] | None = None,
     on_row: OnRow | None = None,
@@ -115,13 +114,11 @@ def run(
     Parameters
     ----------
     plan : Plan
-        What is wanted.
+        What is wanted; its configuration says where it runs and how long a point may take.
     store : Store
         Written by this process alone, one transaction a point.
     jobs : int
         Worker processes on this machine.
-    timeout : float, optional
-        Seconds that an estimate may take; no limit by default.
     rerun_failed : bool, optional
         Compute points again that failed before.
     on_start : callable, optional
@@ -146,7 +143,7 @@ def run(
         return report
     folder = spool.folder_of(store.path)
     with _claims(folder) as claims, closing(_crew(plan, jobs, folder)) as crew:
-        for row, computed in _Sweep(todo, store, claims, crew, plan.folder, timeout).rows():
+        for row, computed in _Sweep(todo, store, claims, crew, plan).rows():
             report.rows[row.key] = row
             report.computed += computed
             report.reused += not computed
@@ -163,6 +160,11 @@ def _claims(folder: Path) -> spool.Claims:
 
 
 def _crew(plan: Plan, jobs: int, folder: Path) -> Crew:
+    parallel = plan.config.parallel
+    if parallel.backend == "dask":
+        from fracbench.harness.cluster import DaskCrew
+
+        return DaskCrew(parallel.address)
     return LocalCrew(jobs, folder)
 
 
@@ -175,13 +177,12 @@ class _Sweep:
         store: Store,
         claims: spool.Claims,
         crew: Crew,
-        data: Path | None,
-        timeout: float | None,
+        plan: Plan,
     ) -> None:
         self._todo, self._store, self._claims, self._crew = todo, store, claims, crew
         self._spool = spool.folder_of(store.path)
-        self._data = None if data is None else data.resolve()
-        self._timeout, self._commit = timeout, provenance.commit()
+        self._folder = None if plan.folder is None else plan.folder.resolve()
+        self._timeout, self._commit = plan.config.parallel.timeout, provenance.commit()
         # The longest go first, so that no worker is left with one of them in the end.
         self._waiting = deque(sorted(todo, key=lambda key: -pixels(todo[key].spec)))
         self._retries: deque[str] = deque()
@@ -225,7 +226,7 @@ class _Sweep:
 
     def _job(self, key: str) -> Job:
         attempt = self._attempts[key] + 1
-        return Job(key, self._todo[key], attempt, SOLVER_VERSION, self._commit, self._data, self._timeout)
+        return Job(key, self._todo[key], attempt, SOLVER_VERSION, self._commit, self._folder, self._timeout)
 
     def _found(self, key: str) -> Row | None:
         row = self._store.get(key)

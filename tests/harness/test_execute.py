@@ -296,8 +296,8 @@ def test_a_point_over_time_is_a_row_and_costs_no_other(store, monkeypatch, tmp_p
         return finish()
 
     replace_point(monkeypatch, instead)
-    made = plan("alpha=0,1,2")
-    report = execute.run(made, store, jobs=2, timeout=1.0)
+    made = plan("alpha=0,1,2", "parallel.timeout=1")
+    report = execute.run(made, store, jobs=2)
     rows = by_alpha(made, report)
     assert {alpha: (row.status, row.attempts) for alpha, row in rows.items()} == {
         "0": ("timeout", 1), "1": ("done", 1), "2": ("done", 1)
