@@ -150,6 +150,19 @@ def _sequence(name: str, dataset: str, folder: Path | None) -> Sequence:
     return load_sequence(name, dataset, folder)
 
 
+_held: dict[str, Sequence] = {}
+
+
+def hold(sequence: Sequence) -> None:
+    """Keep a sequence for the points of this process, which may have no data folder."""
+    _held[sequence.digest] = sequence
+
+
+def holds(digest: str) -> bool:
+    """Tell whether a sequence is kept."""
+    return digest in _held
+
+
 def point_arrays(point: Point, folder: Path | None) -> tuple[Any, Any, Any, tuple[slice, slice]]:
     """Return the frames and the true flow that a point computes on.
 
@@ -174,7 +187,7 @@ def point_arrays(point: Point, folder: Path | None) -> tuple[Any, Any, Any, tupl
     InputError
         The data are not what the point was planned for.
     """
-    sequence = _sequence(point.sequence, point.dataset, folder)
+    sequence = _held.get(point.data_digest) or _sequence(point.sequence, point.dataset, folder)
     if sequence.digest != point.data_digest:
         raise InputError(f"sequence {point.sequence}: the data changed while the sweep was running")
     if point.box is None:
