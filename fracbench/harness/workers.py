@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
 import threading
@@ -156,6 +157,7 @@ class _Place:
 
 
 _idle: list[_Place] = []
+atexit.register(_idle.clear)  # loky cannot be taken down after the modules that it needs
 
 
 @contextmanager
