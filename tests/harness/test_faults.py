@@ -119,6 +119,7 @@ def test_random_kills_lose_nothing_and_compute_nothing_twice(tmp_path, undisturb
         sweep.wait_for_starts(process, chance.randint(0, 5))
         time.sleep(chance.uniform(0.0, 0.08))
         if process.poll() is not None:  # all points are through: the next round
+            process.communicate()
             sweep.check(undisturbed, kept)
             rounds += 1
             sweep, kept = Sweep(tmp_path / str(rounds)), {}

@@ -17,6 +17,8 @@ from fracbench.harness import task
 from fracbench.harness.plan import Point, canonical_value
 from fracbench.harness.task import point_arrays, run_point
 from fracbench.methods.registry import get_method
+from fracbench.methods.variational import energy_growth
+from fracbench.model import pyramid
 from fracbench.model.estimator import FlowResult
 from fracbench.model.params import FlowParams
 
@@ -164,6 +166,48 @@ def test_a_flow_that_is_not_finite_diverged(monkeypatch):
     assert outcome.result["stop"] == "diverged"
     assert outcome.result["n_nonfinite"] == 2
     assert np.isnan(outcome.result["aepe"])
+
+
+@pytest.mark.parametrize(("pixels", "status"), [(0.1, "done"), (1e5, "diverged"), (1e30, "diverged")])
+def test_a_flow_whose_energy_has_grown_diverged(monkeypatch, pixels, status):
+    """A fixed point that leaves its circle of convergence swings, and may be stopped before it overflows."""
+
+    def estimate(frame0, frame1, params):
+        result = still(frame0, frame1, params)
+        result.flow[:, ::2, ::2] = pixels
+        return result
+
+    use_method(monkeypatch, estimate)
+    outcome = run_point(a_point(), None)
+    assert outcome.status == status
+    assert outcome.result["n_nonfinite"] == 0
+    if status == "diverged":
+        assert outcome.error.startswith("diverged: the energy of the flow is ")
+        assert outcome.error.endswith(" times that of no flow")
+
+
+def test_the_energy_of_a_flow_is_compared_with_that_of_none():
+    """Closed form: a constant shift costs no regularity, so that only the data term is left."""
+    rng = np.random.default_rng(1)
+    frame0 = rng.uniform(0.0, 255.0, (24, 32))
+    frame1 = np.roll(frame0, 1, axis=1)
+    shift = np.zeros((2, 24, 32))
+    shift[0] = 1.0
+    params = FlowParams().replace({"presmoothing": 0, "dtype": "float64"})
+    stretched0, stretched1 = pyramid.stretch(frame0, frame1, np.dtype(float))
+    inner = (slice(1, -2), slice(0, -3))  # elsewhere the stencil leaves the picture and frame1 counts as 0
+    moved = np.abs(stretched0).sum() - np.abs(stretched0[inner]).sum()
+    still = moved_out(stretched0, stretched1)
+    growth = energy_growth("tvl1_sb", frame0, frame1, shift, params)
+    assert growth == pytest.approx(moved / still, rel=1e-9)
+    assert energy_growth("opencv_dis", frame0, frame1, shift, params) is None
+    assert energy_growth("tvl1", frame0, frame0 * 0.0 + frame0, np.zeros_like(shift), params) == pytest.approx(1.0)
+
+
+def moved_out(frame0, frame1):
+    inside = np.zeros(frame0.shape, bool)
+    inside[1:-2, 1:-2] = True
+    return np.abs(np.where(inside, frame1, 0.0) - frame0).sum()
 
 
 def test_data_that_changed_since_they_were_planned_are_not_computed_on():
