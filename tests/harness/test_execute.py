@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -431,6 +432,24 @@ def _alive(pid: int) -> bool:
         return False
     status = Path(f"/proc/{pid}/status")
     return not (status.exists() and "State:\tZ" in status.read_text())
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="signals cannot be blocked here")
+def test_workers_leave_ctrl_c_to_their_parent(store, monkeypatch):
+    """A terminal sends it to all; a worker would answer with a traceback, and its point would be lost."""
+
+    def instead(point, finish):
+        import os
+        import signal
+        import time
+
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.1)
+        return finish()
+
+    replace_point(monkeypatch, instead)
+    report = execute.run(plan("alpha=0,1"), store, jobs=1)
+    assert [row.status for row in report.rows.values()] == ["done", "done"]
 
 
 def test_a_spool_that_cannot_be_written_is_one_clear_error(store, monkeypatch):
