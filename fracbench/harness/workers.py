@@ -139,8 +139,9 @@ class _Place:
     def __init__(self) -> None:
         from joblib.externals.loky import ProcessPoolExecutor
 
+        # This starts loky's tracker of resources, which would lift the block on signals.
+        self._executor = ProcessPoolExecutor(1, env=dict.fromkeys(_THREADS, "1"))
         with _deaf_to_ctrl_c():
-            self._executor = ProcessPoolExecutor(1, env=dict.fromkeys(_THREADS, "1"))
             self._ready = self._executor.submit(_get_ready, os.getpid())
 
     def submit(self, function: Any) -> Future[None]:
