@@ -139,9 +139,8 @@ class _Place:
     def __init__(self) -> None:
         from joblib.externals.loky import ProcessPoolExecutor
 
-        # This starts loky's tracker of resources, which would lift the block on signals.
-        self._executor = ProcessPoolExecutor(1, env=dict.fromkeys(_THREADS, "1"))
         with _deaf_to_ctrl_c():
+            self._executor = ProcessPoolExecutor(1, env=dict.fromkeys(_THREADS, "1"))
             self._ready = self._executor.submit(_get_ready, os.getpid())
 
     def submit(self, function: Any) -> Future[None]:
@@ -167,6 +166,9 @@ def _deaf_to_ctrl_c() -> Iterator[None]:
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
+    from multiprocessing import resource_tracker
+
+    resource_tracker.ensure_running()  # its start, with the first worker, would lift the block
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
