@@ -101,18 +101,21 @@ def main(address: str | None = None) -> None:
     for jobs, lap in laps.items():
         _say(f"{jobs} worker(s)", lap, jobs)
     console.say(f"two workers are {laps[1].wall / laps[2].wall:.2f} times as fast as one")
+    parent = laps[1].parent
     if address is not None:
         settings = ("parallel=dask", f"parallel.address={address}")
         run(make_plan([*_WARM, *settings]), 1)
-        _say(f"workers of {address}", run(make_plan([*GRID, *settings]), 1), None)
+        lap = run(make_plan([*GRID, *settings]), 1)
+        _say(f"workers of {address}", lap, None)
+        parent = lap.parent
     seconds, size = write_seconds(laps[1].rows)
     there, back = message_bytes(plan, laps[1].rows[0])
     console.say(f"store: {1 / seconds:.0f} rows a second, {size:.0f} bytes a row")
     console.say(f"messages: {there} bytes to a worker, {back} bytes back")
     console.say(f"{N_POINTS} points: {N_POINTS * size / 2**20:.0f} MiB of store")
-    overhead, parent = laps[1].wall / len(laps[1].rows) - laps[1].point, laps[1].parent + seconds
+    overhead = laps[1].wall / len(laps[1].rows) - laps[1].point
     for workers in (2, 16, 128, 1024):
-        taken = hours(N_POINTS, workers, laps[1].point, overhead, parent)
+        taken = hours(N_POINTS, workers, laps[1].point, overhead, parent + seconds)
         console.say(f"{N_POINTS} points on {workers} workers: {taken:.2f} hours")
 
 
