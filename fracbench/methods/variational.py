@@ -108,8 +108,8 @@ def energy_growth(name: str, frame0: Array, frame1: Array, flow: Array, params: 
     linear = Linearization(np.empty_like(first), np.empty_like(gradient))
     still, moved = np.zeros(flow.shape, dtype), np.asarray(flow, dtype)
     with np.errstate(over="ignore", invalid="ignore"):
-        linearize(first, second, gradient, still, *linear)
+        linearize(first, second, gradient, still, linear.rho_c, linear.gradient, 0, len(first))
         before = attachment(still, linear, params.lambda_)
-        linearize(first, second, gradient, moved, *linear)
+        linearize(first, second, gradient, moved, linear.rho_c, linear.gradient, 0, len(first))
         after = energy(operator, moved, moved, linear, params.lambda_, params.theta)
     return after / before if before else (math.inf if after else 1.0)
