@@ -139,12 +139,15 @@ class _Place:
     def __init__(self) -> None:
         from joblib.externals.loky import ProcessPoolExecutor
 
-        with _deaf_to_ctrl_c():
-            self._executor = ProcessPoolExecutor(1, env=dict.fromkeys(_THREADS, "1"))
-            self._ready = self._executor.submit(_get_ready, os.getpid())
+        # loky replaces a process that has grown by 100 MB, and says so if a job is waiting already.
+        warnings.filterwarnings("ignore", "A worker stopped while some jobs were given", UserWarning)
+        threads = dict.fromkeys(_THREADS, "1")
+        self._executor = ProcessPoolExecutor(1, initializer=_get_ready, initargs=(os.getpid(),), env=threads)
+        self._ready = self.submit(os.getpid)
 
-    def submit(self, function: Any) -> Future[None]:
-        future: Future[None] = self._executor.submit(function)
+    def submit(self, function: Any) -> Future[Any]:
+        with _deaf_to_ctrl_c():
+            future: Future[Any] = self._executor.submit(function)
         return future
 
     def stillborn(self) -> bool:
@@ -178,7 +181,7 @@ def _deaf_to_ctrl_c() -> Iterator[None]:
 
 def _get_ready(parent: int) -> None:
     """In a worker: see to it that it ends with its parent, and import what points need."""
-    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+    threading.Thread(target=_end_with, args=(parent,), name="parent", daemon=True).start()
     from fracbench.harness import task  # noqa: F401
 
 

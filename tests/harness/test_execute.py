@@ -307,6 +307,29 @@ def test_a_point_over_time_is_a_row_and_costs_no_other(store, monkeypatch, tmp_p
     assert sorted(log.read_text().split()) == ["0", "1", "2"]
 
 
+def test_a_worker_that_loky_replaces_costs_nothing(store, monkeypatch):
+    """As it does with one that has grown; the new one, too, ends with its parent and leaves Ctrl-C to it."""
+    pytest.importorskip("psutil", reason="without it loky replaces no worker")
+
+    def instead(point, finish):
+        import signal
+        import threading
+
+        from joblib.externals.loky import process_executor
+
+        process_executor._MAX_MEMORY_LEAK_SIZE = -(2**40)
+        process_executor._MEMORY_LEAK_CHECK_DELAY = 0.0
+        watched = any(thread.name == "parent" for thread in threading.enumerate())
+        deaf = signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+        return finish() if watched and deaf else finish("failed", f"watched: {watched}, deaf: {deaf}")
+
+    replace_point(monkeypatch, instead)
+    monkeypatch.setattr(workers, "_idle", [])
+    report = execute.run(plan("alpha=0:2:0.5"), store, jobs=1)
+    assert [(row.error, row.attempts) for row in report.rows.values()] == [(None, 1)] * 5
+    workers._close(workers._idle)
+
+
 # -- what was finished without being stored, and sweeps at once -----------------------------------
 
 
