@@ -81,8 +81,16 @@ class LocalCrew:
 
     def start(self, job: Job) -> None:
         """Start a job in an idle process, or in a new one."""
-        place = _idle.pop() if _idle else _Place()
-        self._busy[place.submit(partial(_compute, job, self._folder, os.getpid()))] = (place, job)
+        from joblib.externals.loky.process_executor import BrokenProcessPool
+
+        while True:
+            place = _idle.pop() if _idle else _Place()
+            try:
+                future = place.submit(partial(_compute, job, self._folder, os.getpid()))
+            except BrokenProcessPool:  # it died while it was idle
+                continue
+            self._busy[future] = (place, job)
+            return
 
     def wait(self, seconds: float) -> list[tuple[str, Row | None]]:
         """Return the keys of jobs that ended, with their rows; no row if the process died.

@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from joblib.externals.loky.process_executor import BrokenProcessPool
 
 from fracbench.errors import FracbenchError
 from fracbench.harness import execute, spool, workers
@@ -305,6 +306,19 @@ def test_a_point_over_time_is_a_row_and_costs_no_other(store, monkeypatch, tmp_p
     }  # fmt: skip
     assert rows["0"].error == "not finished within the 1 s allowed"
     assert sorted(log.read_text().split()) == ["0", "1", "2"]
+
+
+def test_a_worker_that_dies_while_it_is_idle_costs_nothing(store, monkeypatch):
+    replace_point(monkeypatch, lambda point, finish: finish())
+    execute.run(plan("alpha=0"), store, jobs=1)
+    idle = workers._idle[-1]
+    os.kill(idle._ready.result(), signal.SIGTERM)
+    with pytest.raises(BrokenProcessPool):  # the death is noticed after a moment
+        while True:
+            idle.submit(os.getpid)
+            time.sleep(0.05)
+    report = execute.run(plan("alpha=1"), store, jobs=1)
+    assert [(row.status, row.attempts) for row in report.rows.values()] == [("done", 1)]
 
 
 def test_a_worker_that_loky_replaces_costs_nothing(store, monkeypatch):
