@@ -74,7 +74,12 @@ def _dispatch(argv: list[str]) -> int:
 
 def console_entry() -> NoReturn:
     """Run the command line and leave with its exit code: the console script."""
-    sys.exit(main())
+    code = main()
+    if "fracbench.harness.workers" in sys.modules:  # not imported for the sake of having nothing to do
+        from fracbench.harness.workers import dismiss
+
+        dismiss()
+    sys.exit(code)
 
 
 def _parse(argv: list[str]) -> argparse.Namespace:

@@ -135,6 +135,12 @@ class LocalCrew:
         _close(places)
 
 
+def dismiss() -> None:
+    """Kill the idle processes: they have nothing to lose, and loky would wait for one after the other."""
+    _close(_idle)
+    _idle.clear()
+
+
 def _close(places: Sequence[_Place]) -> None:
     with warnings.catch_warnings(), ThreadPoolExecutor(max(1, len(places))) as side_by_side:
         warnings.simplefilter("ignore")  # that there is no `pgrep` to find the children of a worker

@@ -341,7 +341,9 @@ def test_a_worker_that_loky_replaces_costs_nothing(store, monkeypatch):
     monkeypatch.setattr(workers, "_idle", [])
     report = execute.run(plan("alpha=0:2:0.5"), store, jobs=1)
     assert [(row.error, row.attempts) for row in report.rows.values()] == [(None, 1)] * 5
-    workers._close(workers._idle)
+    (pid,) = (place.submit(os.getpid).result() for place in workers._idle)
+    workers.dismiss()
+    assert workers._idle == [] and not _alive(pid)
 
 
 # -- what was finished without being stored, and sweeps at once -----------------------------------
