@@ -27,8 +27,8 @@ from fracbench.methods.registry import get_method
 from fracbench.methods.variational import energy_growth
 from fracbench.model.params import FlowParams
 
-#: A flow whose energy is so many times that of no flow at all has diverged. Minimisers stay below 1; runs with few
-#: iterations have been seen at 1.2, and at 39 with a data term of next to no weight (lambda = 1e-5).
+#: A flow has diverged if its regularity is so many times the energy of no flow at all. For a minimiser the ratio
+#: is below 1; it has been seen near 40 where the data term has next to no weight (lambda = 1e-5).
 GROWN = 100.0
 
 Guard = Callable[[], AbstractContextManager[Any]]
@@ -141,7 +141,7 @@ def _divergence(name: str, frame0: Any, frame1: Any, result: Any, params: FlowPa
         return f"diverged: {n_bad} pixels of the flow are not finite"
     growth = energy_growth(name, frame0, frame1, result.flow, params)
     if growth is not None and not growth <= GROWN:  # NaN counts as grown
-        return f"diverged: the energy of the flow is {growth:.3g} times that of no flow"
+        return f"diverged: the energy of the flow is at least {growth:.3g} times that of no flow"
     return None
 
 
