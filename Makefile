@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 FRACBENCH := $(BIN)/python -m fracbench
 
 .DEFAULT_GOAL := help
-.PHONY: help setup table2 figures paper readme check test lint format clean
+.PHONY: help setup table2 figures paper readme check test test-python lint format clean
 
 help: ## list the commands
 	@awk -F ':.*## ' '/^[a-z0-9_-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -34,6 +34,10 @@ check: $(VENV)/.ready ## recompute the stored tables and compare them cell by ce
 
 test: $(VENV)/.ready ## all tests
 	$(BIN)/python -m pytest
+
+test-python: $(VENV)/.ready ## the numerics without compilation: the same code as plain Python
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q $(addprefix tests/model/test_, $(addsuffix .py, \
+	  transforms proximal linear warping fractional energy pyramid))
 
 lint: $(VENV)/.ready ## style and types
 	$(BIN)/ruff check .

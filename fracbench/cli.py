@@ -55,7 +55,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         console.complain(" ".join(str(exc).splitlines()))  # a file's name may hold a line break
         return EXIT_INPUT
     except KeyboardInterrupt:
-        console.complain("interrupted; the points that were finished are stored")
+        console.complain("interrupted; what was finished is stored, and the same command goes on from there")
         return EXIT_INTERRUPTED
     except BrokenPipeError:
         # Whoever read our output has gone, e.g. `| head`: not an error, but nothing more can be printed.
@@ -74,7 +74,12 @@ def _dispatch(argv: list[str]) -> int:
 
 def console_entry() -> NoReturn:
     """Run the command line and leave with its exit code: the console script."""
-    sys.exit(main())
+    code = main()
+    if "fracbench.harness.workers" in sys.modules:  # not imported for the sake of having nothing to do
+        from fracbench.harness.workers import dismiss
+
+        dismiss()
+    sys.exit(code)
 
 
 def _parse(argv: list[str]) -> argparse.Namespace:
@@ -123,6 +128,7 @@ def _build_parser() -> argparse.ArgumentParser:
     report.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="dataset=, paths. and parallel only")
     report.add_argument("--jobs", type=int, help="worker processes (default: 2)")
     report.add_argument("--dry-run", action="store_true", help="count points and minutes, compute nothing")
+    report.add_argument("--timeout", metavar="SECONDS", help=_TIMEOUT)
     report.add_argument("--small", action="store_true", help=_SMALL)
     claims = add("claims", _claims, "judge the paper's claims by what is stored; compute nothing")
     claims.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="dataset= and paths. only")
@@ -178,6 +184,7 @@ _GRID_HELP = (
 )
 
 
+_TIMEOUT = "give a point up whose estimate takes longer (default: no limit)"
 _SMALL = "thin every grid, to try it out; the names of files end in _small"
 
 
@@ -185,6 +192,7 @@ def _add_overrides(parser: argparse.ArgumentParser, *, grid: bool = True) -> Non
     parser.add_argument("overrides", nargs="*", metavar="KEY=GRID" if grid else "KEY=VALUE")
     if grid:
         parser.add_argument("--jobs", type=int, help="worker processes (default: 2)")
+        parser.add_argument("--timeout", metavar="SECONDS", help=_TIMEOUT)
         parser.add_argument("--dry-run", action="store_true", help="count points and minutes, compute nothing")
         parser.add_argument("--small", action="store_true", help=_SMALL)
         parser.add_argument("--rerun", choices=["failed"], help="compute points again that failed")
@@ -204,6 +212,7 @@ def _slug(tokens: Sequence[str]) -> str:
     import hashlib
     import re
 
+    tokens = [token for token in tokens if not token.startswith("parallel")]  # where it runs changes no result
     text = "__".join(re.sub(r"[^\w.=,+-]+", "_", token) for token in tokens if not token.startswith("paths."))
     # Characters are folded and names cut: a digest keeps apart what would fall together.
     digest = hashlib.sha256("\0".join(tokens).encode()).hexdigest()[:8]
@@ -249,7 +258,7 @@ def _settings(name: str, overrides: Sequence[str]) -> Sequence[str]:
 def _report(arguments: argparse.Namespace) -> int:
     from fracbench import reproduce
 
-    settings = _settings("report", arguments.overrides)
+    settings = [*_settings("report", arguments.overrides), *_limit(arguments)]
     failed = reproduce.report(settings, jobs=arguments.jobs, small=arguments.small, dry_run=arguments.dry_run)
     return EXIT_FAILED if failed else EXIT_DONE
 
@@ -269,13 +278,17 @@ def _conduct(experiment: Experiment, settings: Sequence[str], arguments: argpars
 
     outcome = session.conduct(
         experiment,
-        settings,
+        [*settings, *_limit(arguments)],
         jobs=arguments.jobs,
         dry_run=arguments.dry_run,
         rerun_failed=arguments.rerun == "failed",
         small=arguments.small,
     )
     return EXIT_FAILED if outcome.failed else EXIT_DONE
+
+
+def _limit(arguments: argparse.Namespace) -> list[str]:
+    return [] if arguments.timeout is None else [f"parallel.timeout={arguments.timeout}"]
 
 
 def _run(arguments: argparse.Namespace) -> int:

@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from fracbench.evaluation.metrics import flow_errors
 from fracbench.harness import execute, regression, spread, tolerances
 from fracbench.harness.store import Store
 from fracbench.harness.tolerances import MEASURED
+from fracbench.harness.workers import LocalCrew
 from fracbench.methods.registry import METHODS
 
 COMMANDS = ("sweep", "table", "figure", "experiment", "run", "estimate", "check", "data", "methods")
@@ -28,9 +30,8 @@ NAMES_ONLY = "boundary=zero,reflect"  # nothing that is drawn
 
 
 def tree(folder: Path) -> list[str]:
-    """Every file and folder, without those that SQLite keeps beside a store while it reads."""
-    names = [str(path.relative_to(folder)) for path in folder.rglob("*")]
-    return sorted(name for name in names if not name.endswith(("-shm", "-wal")))
+    """Every file and folder."""
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
 
 
 def python(*arguments, cwd, **environment):
@@ -204,13 +205,13 @@ def test_overrides_may_follow_options_and_jobs_has_two_spellings(cli, work, tiny
 
 def test_jobs_reach_the_execution(cli, work, tiny, monkeypatch):
     seen = []
-    real = execute.outcomes
+    real = execute._crew
 
-    def outcomes(todo, folder, jobs):
+    def crew(plan, jobs, folder):
         seen.append(jobs)
-        return real(todo, folder, jobs)
+        return real(plan, jobs, folder)
 
-    monkeypatch.setattr(execute, "outcomes", outcomes)
+    monkeypatch.setattr(execute, "_crew", crew)
     assert cli("sweep", "theta=0.1", *tiny, "--jobs", "1").code == EXIT_DONE
     assert cli("sweep", "theta=0.1", *tiny, "max_inner=3").code == EXIT_DONE
     assert seen == [1, 2]
@@ -224,18 +225,17 @@ def test_results_go_where_they_are_asked_to(cli, work, tiny):
 
 
 def test_a_point_that_fails_gives_exit_code_3_and_a_hint(cli, work, tiny, monkeypatch):
-    real = execute.outcomes
+    class Unlucky(LocalCrew):
+        def wait(self, seconds):
+            return [(key, self.spoilt(row)) for key, row in super().wait(seconds)]
 
-    def outcomes(todo, folder, jobs):
-        from dataclasses import replace
-
-        for key, outcome, attempts in real(todo, folder, jobs):
-            bad = todo[key].params["boundary"] == "reflect"
-            failed = replace(outcome, status="failed", error="made to fail", result={}, seconds=None)
-            yield key, failed if bad else outcome, attempts
+        @staticmethod
+        def spoilt(row):
+            bad = row.spec["params"]["boundary"] == "reflect"
+            return replace(row, status="failed", error="made to fail", result={}) if bad else row
 
     with monkeypatch.context() as patched:
-        patched.setattr(execute, "outcomes", outcomes)
+        patched.setattr(execute, "_crew", lambda plan, jobs, folder: Unlucky(jobs, folder))
         done = cli("sweep", NAMES_ONLY, *tiny)
     hint = (
         "1 of 2 points are not done (first: made to fail); the same command with --rerun failed tries them again"
@@ -260,16 +260,22 @@ def test_scenes_that_stand_in_are_remarked_upon(cli, work, no_middlebury):
 
 
 def test_ctrl_c_is_one_line_and_keeps_what_was_finished(cli, work, tiny, monkeypatch):
-    real = execute.outcomes
+    class Interrupted(LocalCrew):
+        def wait(self, seconds):
+            ended = super().wait(seconds)
+            if ended and self.seen:
+                raise KeyboardInterrupt
+            self.seen = bool(ended) or self.seen
+            return ended
 
-    def outcomes(todo, folder, jobs):
-        yield next(real(todo, folder, 1))
-        raise KeyboardInterrupt
+        seen = False
 
-    monkeypatch.setattr(execute, "outcomes", outcomes)
+    monkeypatch.setattr(execute, "_crew", lambda plan, jobs, folder: Interrupted(1, folder))
     done = cli("sweep", NAMES_ONLY, *tiny)
     assert done.code == 130
-    assert done.err.splitlines()[-1] == "fracbench: interrupted; the points that were finished are stored"
+    assert done.err.splitlines()[-1] == (
+        "fracbench: interrupted; what was finished is stored, and the same command goes on from there"
+    )
     assert "Traceback" not in done.err
     with Store(work / "results" / session.STORE, readonly=True) as store:
         assert len(store.rows("done")) == 1

@@ -7,6 +7,7 @@ import pytest
 
 from fracbench import reproduce
 from fracbench.harness import execute
+from fracbench.harness.job import Outcome
 from fracbench.report import html
 
 TINY = "n_scales=1, n_warps=1, max_iter=1, sequence=synthetic_flat"
@@ -49,13 +50,25 @@ def test_a_small_paper_is_thinned_and_overwrites_nothing(paper, cli):
 
 
 def test_points_that_fail_are_told_and_the_rest_goes_on(paper, cli, monkeypatch):
-    def fail(todo, folder, jobs):
-        from fracbench.harness.task import Outcome
+    class Failing:
+        def __init__(self):
+            self.jobs = []
 
-        for key in todo:
-            yield key, Outcome("failed", "made up", {}, None, None, {}), 1
+        def free(self):
+            return not self.jobs
 
-    monkeypatch.setattr(execute, "outcomes", fail)
+        def start(self, job):
+            self.jobs.append(job)
+
+        def wait(self, seconds):
+            outcome = Outcome("failed", "made up", {}, None, None, {})
+            ended, self.jobs = [(job.key, job.row(outcome)) for job in self.jobs], []
+            return ended
+
+        def close(self):
+            pass
+
+    monkeypatch.setattr(execute, "_crew", lambda *_: Failing())
     done = cli("report", "dataset=synthetic")
     assert done.code == 3
     assert "two: 3 points, 2 computed" in done.out and "wrote results/page.html" in done.out

@@ -254,6 +254,17 @@ def digest(sequence: str, folder: str | Path) -> str:
     return _verified(match_name(sequence, SEQUENCES, "Middlebury sequence"), folder)[1]
 
 
+def contents(sequence: str, folder: str | Path) -> dict[str, bytes]:
+    """Return the files of a sequence that `load` reads, by name, each verified.
+
+    Raises
+    ------
+    DataError
+        If a file is missing, corrupt or unreadable.
+    """
+    return _verified(match_name(sequence, SEQUENCES, "Middlebury sequence"), folder)[0]
+
+
 def load(sequence: str, folder: str | Path) -> Sequence:
     """Load frames 10 and 11 and the true flow of a sequence; each file is verified as it is read.
 

@@ -7,6 +7,8 @@ record in plain Python, because composing costs tens of milliseconds and a grid 
 from __future__ import annotations
 
 import dataclasses
+import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -23,10 +25,14 @@ from fracbench.methods.registry import Method, get_method
 from fracbench.model.params import FlowParams
 
 GROUPS = ("method", "sequence", "region", "protocol", "parallel")
+BACKENDS = ("loky", "dask")
 DATASETS = ("auto", "middlebury", "synthetic")
+PARALLEL = ("parallel.jobs", "parallel.timeout", "parallel.address")
 #: Keys of the command line that are neither groups nor parameters.
-SETTINGS = ("dataset", "context", "shift", "paths.data", "paths.results", "parallel.jobs")
+SETTINGS = ("dataset", "context", "shift", "paths.data", "paths.results", *PARALLEL)
 N_SHIFTS = 25
+
+_ADDRESS = re.compile(r"(tcp|tls|ucx|wss?)://[^\s/]+:\d{1,5}")
 
 
 @dataclass(frozen=True)
@@ -41,16 +47,47 @@ class SequenceConfig:
 
 @dataclass(frozen=True)
 class ParallelConfig:
-    """How points are spread over processes."""
+    """How points are spread over processes.
+
+    Attributes
+    ----------
+    backend : {"loky", "dask"}
+        Processes of joblib on this machine, or the workers of a Dask cluster.
+    jobs : int
+        Processes on this machine.
+    timeout : float or None
+        Seconds that the estimate of a point may take.
+    address : str or None
+        Of the Dask scheduler.
+    """
 
     backend: str = "loky"
     jobs: int = 2
+    timeout: float | None = None
+    address: str | None = None
 
     def __post_init__(self) -> None:
-        if self.backend != "loky":
-            raise unknown_name("parallel backend", self.backend, ["loky"])
+        if self.backend not in BACKENDS:
+            raise unknown_name("parallel backend", self.backend, BACKENDS)
         if self.jobs < 1:
             raise InputError(f"parallel.jobs must be at least 1, got {self.jobs}")
+        if self.timeout is not None and not 0.0 < self.timeout < math.inf:
+            raise InputError(f"parallel.timeout must be a number of seconds above 0, got {self.timeout:g}")
+        if self.address is None:
+            return
+        if not _ADDRESS.fullmatch(self.address):
+            raise InputError(f"parallel.address must be like tcp://HOST:8786, got {self.address!r}")
+        if self.backend != "dask":
+            raise InputError(f"parallel.address={self.address} needs parallel=dask")
+
+    def override(self, key: str, value: str) -> ParallelConfig:
+        """Return a copy with one of `PARALLEL` changed."""
+        given: Any = None if value == "null" else value
+        if key == "parallel.jobs":
+            given = _whole(key, value)
+        elif key == "parallel.timeout" and given is not None:
+            given = _seconds(key, value)
+        return dataclasses.replace(self, **{key.removeprefix("parallel."): given})
 
 
 @dataclass(frozen=True)
@@ -109,8 +146,8 @@ class RunConfig:
         for key, value in values.items():
             if key not in SETTINGS:
                 params[key.removeprefix("params.")] = value
-            elif key == "parallel.jobs":
-                changes["parallel"] = dataclasses.replace(self.parallel, jobs=_whole(key, value))
+            elif key in PARALLEL:
+                changes["parallel"] = changes.get("parallel", self.parallel).override(key, value)
             elif key in ("context", "shift"):
                 changes[key] = None if key == "shift" and value == "null" else _whole(key, value)
             else:
@@ -123,6 +160,13 @@ def _whole(key: str, value: Any) -> int:
         return int(str(value))
     except ValueError:
         raise InputError(f"`{key}` must be a whole number, got {value!r}") from None
+
+
+def _seconds(key: str, value: str) -> float:
+    try:
+        return float(value)
+    except ValueError:
+        raise InputError(f"`{key}` must be a number of seconds, got {value!r}") from None
 
 
 def group_options(group: str) -> list[str]:

@@ -37,17 +37,18 @@ def expected_seconds(points: Iterable[Point], rows: Iterable[Row], jobs: int) ->
     speeds: dict[str, list[float]] = {}
     for row in rows:
         if row.status == "done" and row.seconds:
-            speeds.setdefault(row.spec["method"], []).append(row.seconds / _pixels(row.spec))
+            speeds.setdefault(row.spec["method"], []).append(row.seconds / pixels(row.spec))
     seconds, measured = [], True
     for point in points:
         known = speeds.get(point.method)
         measured = measured and bool(known)
-        seconds.append(_pixels(point.spec) * (median(known) if known else ROUGH_SECONDS_PER_PIXEL))
+        seconds.append(pixels(point.spec) * (median(known) if known else ROUGH_SECONDS_PER_PIXEL))
     # No number of processes makes the longest point shorter.
     return max(sum(seconds) / jobs, max(seconds, default=0.0)), measured
 
 
-def _pixels(spec: Any) -> int:
+def pixels(spec: Any) -> int:
+    """Return the number of pixels that a point computes on, from its canonical form."""
     if spec["box"] is not None:
         row0, row1, col0, col1 = spec["box"]
         return int((row1 - row0 + 2 * spec["context"]) * (col1 - col0 + 2 * spec["context"]))

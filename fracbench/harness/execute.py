@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
-import tempfile
-import warnings
-from collections import Counter
-from collections.abc import Callable, Generator, Mapping
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
-from fracbench.errors import FracbenchError
-from fracbench.harness import provenance
+from fracbench.errors import InputError
+from fracbench.harness import provenance, spool
+from fracbench.harness.cost import pixels
+from fracbench.harness.job import Job, Outcome
 from fracbench.harness.plan import Plan, Point
 from fracbench.harness.store import Row, Store
+from fracbench.harness.workers import Crew, LocalCrew
 from fracbench.model import SOLVER_VERSION
 
-#: A point whose worker died is tried again so often, alone in a fresh process.
+#: So often a point is started whose worker dies.
 MAX_ATTEMPTS = 2
+
+#: How long to wait for a sign of life before looking around, seconds.
+_LOOK_SECONDS = 0.2
 
 OnRow = Callable[[Row], None]
 
@@ -34,7 +37,7 @@ class Report:
     computed : int
         Points computed now.
     reused : int
-        Points the store held.
+        Points the store held, or that another sweep computed meanwhile.
     reasons : Counter
         Why points were computed: ``new``, ``solver version 1 -> 2``, ``data changed``, ``failed before``.
     """
@@ -51,7 +54,7 @@ class Report:
 
 
 def missing(plan: Plan, store: Store, *, rerun_failed: bool = False) -> tuple[Report, dict[str, Point]]:
-    """Compare a plan with the store.
+    """Compare a plan with the store, after storing what earlier runs finished and did not live to store.
 
     Parameters
     ----------
@@ -69,6 +72,8 @@ def missing(plan: Plan, store: Store, *, rerun_failed: bool = False) -> tuple[Re
     todo : dict of str to Point
         What has to be computed, in the order of the plan.
     """
+    if not store.readonly:
+        spool.harvest(store)
     points = plan.unique()
     stored = store.get_many(points)
     report, todo = Report(), {}
@@ -109,11 +114,11 @@ def run(
     Parameters
     ----------
     plan : Plan
-        What is wanted.
+        What is wanted; its configuration says where it runs and how long a point may take.
     store : Store
         Written by this process alone, one transaction a point.
     jobs : int
-        Worker processes.
+        Worker processes on this machine.
     rerun_failed : bool, optional
         Compute points again that failed before.
     on_start : callable, optional
@@ -125,123 +130,118 @@ def run(
     -------
     Report
         With the rows of all points of the plan.
+
+    Raises
+    ------
+    FracbenchError
+        The store or its spool cannot be written, or workers do not come up.
     """
     report, todo = missing(plan, store, rerun_failed=rerun_failed)
     if on_start is not None:
         on_start(report, len(todo))
-    commit = provenance.commit()
-    with closing(outcomes(todo, plan.folder, jobs)) as results:
-        for key, outcome, attempts in results:
-            row = _row(key, todo[key], outcome, attempts, commit)
-            store.put(row)
-            report.rows[key] = row
-            report.computed += 1
+    if not todo:
+        return report
+    folder = spool.folder_of(store.path)
+    with _claims(folder) as claims, closing(_crew(plan, jobs, folder)) as crew:
+        for row, computed in _Sweep(todo, store, claims, crew, plan).rows():
+            report.rows[row.key] = row
+            report.computed += computed
+            report.reused += not computed
             if on_row is not None:
                 on_row(row)
     return report
 
 
-def _row(key: str, point: Point, outcome: Any, attempts: int, commit: Mapping[str, Any]) -> Row:
-    return Row(
-        key=key,
-        identity=point.identity,
-        spec=point.spec,
-        solver_version=SOLVER_VERSION,
-        status=outcome.status,
-        error=outcome.error,
-        result=outcome.result,
-        seconds=outcome.seconds,
-        peak_mib=outcome.peak_mib,
-        provenance={**outcome.machine, "threads": 1, **commit, "data": point.data_digest},
-        attempts=attempts,
-    )
+def _claims(folder: Path) -> spool.Claims:
+    try:
+        return spool.Claims(folder)
+    except OSError as exc:
+        raise InputError(f"{folder}: {exc.strerror}; make it a folder that can be written to") from exc
 
 
-def outcomes(
-    todo: Mapping[str, Point], folder: Path | None, jobs: int
-) -> Generator[tuple[str, Any, int], None, None]:
-    """Compute points in worker processes, in any order; a worker's death costs no other point.
+def _crew(plan: Plan, jobs: int, folder: Path) -> Crew:
+    parallel = plan.config.parallel
+    if parallel.backend == "dask":
+        from fracbench.harness.cluster import DaskCrew
 
-    Parameters
-    ----------
-    todo : mapping of str to Point
-        By key.
-    folder : Path or None
-        Where the Middlebury data are.
-    jobs : int
-        Worker processes.
-
-    Yields
-    ------
-    key : str
-        The point's key.
-    outcome : fracbench.harness.task.Outcome
-        How it ended.
-    attempts : int
-        How often it was started.
-
-    Raises
-    ------
-    FracbenchError
-        Workers die, again and again, before they have begun with a point.
-    """
-    if not todo:
-        return
-    from fracbench.harness.task import Outcome
-
-    pending, attempts, deaths_at_rest = dict(todo), Counter[str](), 0
-    with tempfile.TemporaryDirectory(prefix="fracbench-") as name:
-        started = Path(name)
-        while pending:
-            # Those that were under way when a worker died run alone: a second death then tells whose it was.
-            suspects = [key for key in pending if attempts[key]]
-            batch = {suspects[0]: pending[suspects[0]]} if suspects else pending
-            before = len(pending)
-            with closing(_until_death(batch, folder, 1 if suspects else jobs, started)) as results:
-                for key, outcome in results:
-                    del pending[key]
-                    yield key, outcome, attempts[key] + 1
-            under_way = [key for key in pending if (started / key).exists()]
-            deaths_at_rest = 0 if under_way or len(pending) < before else deaths_at_rest + 1
-            if deaths_at_rest == MAX_ATTEMPTS:
-                raise FracbenchError("worker processes die before they begin with a point (out of memory?)")
-            for key in under_way:
-                (started / key).unlink()
-                attempts[key] += 1
-                if attempts[key] == MAX_ATTEMPTS:
-                    del pending[key]
-                    message = f"the worker process died {MAX_ATTEMPTS} times (out of memory, or a crash)"
-                    yield key, Outcome("crashed", message, {}, None, None, provenance.machine()), MAX_ATTEMPTS
+        return DaskCrew(parallel.address)
+    return LocalCrew(jobs, folder)
 
 
-def _until_death(
-    batch: Mapping[str, Point], folder: Path | None, jobs: int, started: Path
-) -> Generator[tuple[str, Any], None, None]:
-    """Yield outcomes until the batch is through or a worker dies."""
-    from joblib import Parallel, delayed, parallel_config
-    from joblib.externals.loky.process_executor import TerminatedWorkerError
+class _Sweep:
+    """One run over missing points: what waits, what is under way, what lost its worker."""
 
-    with parallel_config(backend="loky", inner_max_num_threads=1):
-        # With n_jobs=1 joblib computes in this process, which a crash would take along: there are two
-        # workers at least, and pre_dispatch says how many of them have work at a time.
-        workers = max(2, min(jobs, len(batch)))
-        pool = Parallel(workers, return_as="generator_unordered", pre_dispatch=jobs, batch_size=1)
-        results = pool(delayed(_marked)(key, point, folder, started) for key, point in list(batch.items()))
-        try:
-            for key, outcome in results:
-                (started / key).unlink()
-                yield key, outcome
-        except TerminatedWorkerError:
-            return
-        finally:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # that points under way are given up: the caller has said why
-                results.close()
+    def __init__(
+        self,
+        todo: Mapping[str, Point],
+        store: Store,
+        claims: spool.Claims,
+        crew: Crew,
+        plan: Plan,
+    ) -> None:
+        self._todo, self._store, self._claims, self._crew = todo, store, claims, crew
+        self._spool = spool.folder_of(store.path)
+        self._folder = None if plan.folder is None else plan.folder.resolve()
+        self._timeout, self._commit = plan.config.parallel.timeout, provenance.commit()
+        # The longest go first, so that no worker is left with one of them in the end.
+        self._waiting = deque(sorted(todo, key=lambda key: -pixels(todo[key].spec)))
+        self._retries: deque[str] = deque()
+        self._attempts = Counter[str]()
+        self._under_way: set[str] = set()
+        self._before = store.get_many(todo)  # rows that are to be replaced
 
+    def rows(self) -> Iterator[tuple[Row, bool]]:
+        """Yield stored rows, and whether they were computed here."""
+        while self._waiting or self._retries or self._under_way:
+            yield from self._start()
+            ended = self._crew.wait(_LOOK_SECONDS)
+            self._under_way.difference_update(key for key, _ in ended)
+            yield from self._start()  # before storing, so that no worker waits for the disk
+            for key, row in ended:
+                stored = self._settle(key, row)
+                if stored is not None:
+                    yield stored
 
-def _marked(key: str, point: Point, folder: Path | None, started: Path) -> tuple[str, Any]:
-    """Leave a mark while the point is under way, so that the parent knows whom a death concerns."""
-    (started / key).touch()
-    from fracbench.harness.task import run_point
+    def _start(self) -> Iterator[tuple[Row, bool]]:
+        """Give work to all that are free; yield what another sweep has finished instead."""
+        for _ in range(len(self._waiting)):
+            if not self._crew.free():
+                return
+            key = self._waiting.popleft()
+            if not self._claims.take(key):
+                self._waiting.append(key)
+            elif (row := self._found(key)) is not None:
+                self._claims.release(key)
+                yield row, False
+            else:
+                self._give(key)
+        while self._retries and self._crew.free():
+            if self._crew.retry_alone and self._under_way:
+                return
+            self._give(self._retries.popleft())
 
-    return key, run_point(point, folder)
+    def _give(self, key: str) -> None:
+        self._under_way.add(key)
+        self._crew.start(self._job(key))
+
+    def _job(self, key: str) -> Job:
+        attempt = self._attempts[key] + 1
+        return Job(key, self._todo[key], attempt, SOLVER_VERSION, self._commit, self._folder, self._timeout)
+
+    def _found(self, key: str) -> Row | None:
+        row = self._store.get(key)
+        return None if row == self._before.get(key) else row
+
+    def _settle(self, key: str, row: Row | None) -> tuple[Row, bool] | None:
+        """Store the row of a job that ended; without one, try again or give it up."""
+        if row is None and (row := self._found(key)) is None:
+            if self._attempts[key] + 1 < MAX_ATTEMPTS:
+                self._attempts[key] += 1
+                self._retries.append(key)
+                return None
+            message = f"the worker process died {MAX_ATTEMPTS} times (out of memory, or a crash)"
+            row = self._job(key).row(Outcome("crashed", message, {}, None, None, provenance.machine()))
+        self._store.put(row)
+        spool.remove(self._spool, key)
+        self._claims.release(key)
+        return row, True

@@ -12,13 +12,13 @@ from typing import Any
 from fracbench.data.regions import Region, shifted
 from fracbench.data.sequence import list_sequences, shape_of
 from fracbench.errors import InputError, unknown_name
-from fracbench.harness.config import GROUPS, RunConfig, group_options, known_keys, load_config
+from fracbench.harness.config import GROUPS, PARALLEL, RunConfig, group_options, known_keys, load_config
 from fracbench.harness.grid import MAX_POINTS, Axis, Grid, canonical_number, expand_names, parse_overrides
 from fracbench.harness.store import canonical_json
 from fracbench.model import SOLVER_VERSION
 
 #: Keys that cannot be swept.
-_FOR_ALL = ("dataset", "paths.data", "paths.results", "parallel", "parallel.jobs")
+_FOR_ALL = ("dataset", "paths.data", "paths.results", "parallel", *PARALLEL)
 
 
 @dataclass(frozen=True)

@@ -61,6 +61,7 @@ _REMEDIES = {
     sqlite3.SQLITE_FULL: "the disk is full; free some space and run the same command again",
     sqlite3.SQLITE_READONLY: "cannot be written; make the file and its folder writable",
     sqlite3.SQLITE_CANTOPEN: "cannot be opened; check that it is a file, in a folder you may write to",
+    sqlite3.SQLITE_IOERR: "the disk cannot be read or written; check its space, quota and health",
     sqlite3.SQLITE_BUSY: f"another process has held it for {BUSY_SECONDS:g} s; run the same command again",
 }
 
@@ -125,6 +126,18 @@ class Row:
 
     def __post_init__(self) -> None:
         _known_status(self.status)
+
+    def to_json(self) -> str:
+        """Return the row as one line of JSON, with the values that the store would keep."""
+        return canonical_json(_finite(vars(self)))
+
+    @classmethod
+    def from_json(cls, text: str) -> Row:
+        """Return the row that `to_json` wrote; ValueError if it is none."""
+        try:
+            return cls(**json.loads(text))
+        except (TypeError, InputError) as exc:
+            raise ValueError(f"not a row: {exc}") from exc
 
 
 _COLUMNS = tuple(f.name for f in fields(Row))
@@ -305,15 +318,23 @@ def _open_to_write(path: Path) -> sqlite3.Connection:
 def _open_to_read(path: Path) -> sqlite3.Connection:
     if not path.exists():
         return _empty()
-    # WAL needs files beside the store; where there are none and none can be made, nobody is writing.
-    at_rest = not path.with_name(f"{path.name}-wal").exists() and not os.access(path.parent, os.W_OK)
-    db = _connect(path, "mode=ro&immutable=1" if at_rest else "mode=ro")
-    with _closed_on_error(db), _transaction(db, "BEGIN"):
-        blank = _is_blank(db, path)
+    db = _connect(path, _reading_mode(path))
+    with _closed_on_error(db):
+        db.execute("PRAGMA query_only = ON")
+        with _transaction(db, "BEGIN"):
+            blank = _is_blank(db, path)
     if blank:
         db.close()
         return _empty()
     return db
+
+
+def _reading_mode(path: Path) -> str:
+    if os.access(path, os.W_OK) and os.access(path.parent, os.W_OK):
+        return "mode=rw"  # nothing is written, but who may write takes the WAL's files away in the end
+    # WAL needs files beside the store; where there are none and none can be made, nobody is writing.
+    at_rest = not path.with_name(f"{path.name}-wal").exists() and not os.access(path.parent, os.W_OK)
+    return "mode=ro&immutable=1" if at_rest else "mode=ro"
 
 
 @contextmanager

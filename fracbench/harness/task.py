@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import threading
 import time
 import traceback
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -17,41 +19,65 @@ from fracbench.data.sequence import Sequence, load_sequence
 from fracbench.errors import FracbenchError, InputError
 from fracbench.evaluation.metrics import flow_errors
 from fracbench.harness import provenance
+from fracbench.harness.job import Job, Outcome
 from fracbench.harness.memory import peak_mib, reset_peak
 from fracbench.harness.plan import Point
+from fracbench.harness.store import Row
 from fracbench.methods.registry import get_method
+from fracbench.methods.variational import energy_growth
 from fracbench.model.params import FlowParams
 
+#: A flow has diverged if its regularity is so many times the energy of no flow at all. For a minimiser the ratio
+#: is below 1; it has been seen near 40 where the data term has next to no weight (lambda = 1e-5).
+GROWN = 100.0
 
-@dataclass(frozen=True)
-class Outcome:
-    """How a point ended.
+Guard = Callable[[], AbstractContextManager[Any]]
 
-    Attributes
+
+def work(job: Job, deliver: Callable[[Row], None], leave: Callable[[], None]) -> None:
+    """Compute a job and deliver its row, once.
+
+    Parameters
     ----------
-    status : str
-        ``done``, ``failed`` or ``diverged``; the parent adds ``crashed`` and ``timeout``.
-    error : str or None
-        What went wrong.
-    result : dict
-        Errors, iterations, stop reason, seconds by phase, notices.
-    seconds : float or None
-        Of the estimate alone.
-    peak_mib : float or None
-        Largest resident memory of the process while the point ran.
-    machine : dict
-        Where it ran.
+    job : Job
+        What to compute.
+    deliver : callable
+        Brings the row to where it outlives this process.
+    leave : callable
+        Ends this process: called when the time is over, after the row that says so is delivered.
     """
+    settled = threading.Lock()  # taken by whoever is first, the result or the clock
 
-    status: str
-    error: str | None
-    result: dict[str, Any]
-    seconds: float | None
-    peak_mib: float | None
-    machine: dict[str, Any]
+    def expire() -> None:
+        if settled.acquire(blocking=False):
+            message = f"not finished within the {job.timeout:g} s allowed"
+            try:
+                deliver(job.row(Outcome("timeout", message, {}, None, None, provenance.machine())))
+            finally:
+                leave()
+
+    outcome = run_point(job.point, job.folder, lambda: _alarm(job.timeout, expire))
+    if settled.acquire(blocking=False):
+        deliver(job.row(outcome))
+    else:
+        threading.Event().wait()  # the process is about to end
 
 
-def run_point(point: Point, folder: Path | None) -> Outcome:
+@contextmanager
+def _alarm(seconds: float | None, ring: Callable[[], None]) -> Iterator[None]:
+    if seconds is None:
+        yield
+        return
+    timer = threading.Timer(seconds, ring)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+def run_point(point: Point, folder: Path | None, guard: Guard = nullcontext) -> Outcome:
     """Compute a point; whatever goes wrong becomes its outcome.
 
     Parameters
@@ -60,6 +86,8 @@ def run_point(point: Point, folder: Path | None) -> Outcome:
         What to compute.
     folder : Path or None
         Where the Middlebury data are.
+    guard : callable, optional
+        Gives the context in which the estimate runs, after all preparations.
 
     Returns
     -------
@@ -68,8 +96,7 @@ def run_point(point: Point, folder: Path | None) -> Outcome:
     """
     machine = provenance.machine()
     try:
-        with threadpool_limits(1):  # one thread a point, always: tables do not depend on the number of jobs
-            return _compute(point, folder, machine)
+        return _compute(point, folder, machine, guard)
     except FracbenchError as exc:
         return Outcome("failed", str(exc), {}, None, None, machine)
     except Exception as exc:
@@ -78,7 +105,7 @@ def run_point(point: Point, folder: Path | None) -> Outcome:
         return Outcome("failed", " ".join(message.split()), {}, None, None, machine)
 
 
-def _compute(point: Point, folder: Path | None, machine: dict[str, Any]) -> Outcome:
+def _compute(point: Point, folder: Path | None, machine: dict[str, Any], guard: Guard) -> Outcome:
     frame0, frame1, truth, inner = point_arrays(point, folder)
     if truth is None:
         raise InputError(f"sequence {point.sequence}: has no true flow to compare with")
@@ -87,7 +114,8 @@ def _compute(point: Point, folder: Path | None, machine: dict[str, Any]) -> Outc
     _warm_up(point.method, params)
     reset_peak()
     started = time.perf_counter()
-    flow_result = method.estimate(frame0, frame1, params)
+    with guard():
+        flow_result = method.estimate(frame0, frame1, params)
     seconds = time.perf_counter() - started
     errors = flow_errors(flow_result.flow[(slice(None), *inner)], truth[(slice(None), *inner)])
     result = {
@@ -103,14 +131,36 @@ def _compute(point: Point, folder: Path | None, machine: dict[str, Any]) -> Outc
         "phases": flow_result.seconds,
         "notices": flow_result.notices,
     }
-    diverged = flow_result.stop_reason == "diverged"
-    error = f"diverged: {errors.n_nonfinite} pixels of the flow are not finite" if diverged else None
-    return Outcome("diverged" if diverged else "done", error, result, seconds, peak_mib(), machine)
+    peak = peak_mib()
+    error = _divergence(point.method, frame0, frame1, flow_result, params, errors.n_nonfinite)
+    return Outcome("done" if error is None else "diverged", error, result, seconds, peak, machine)
+
+
+def _divergence(name: str, frame0: Any, frame1: Any, result: Any, params: FlowParams, n_bad: int) -> str | None:
+    if result.stop_reason == "diverged":
+        return f"diverged: {n_bad} pixels of the flow are not finite"
+    growth = energy_growth(name, frame0, frame1, result.flow, params)
+    if growth is not None and not growth <= GROWN:  # NaN counts as grown
+        return f"diverged: the energy of the flow is at least {growth:.3g} times that of no flow"
+    return None
 
 
 @lru_cache(maxsize=8)
 def _sequence(name: str, dataset: str, folder: Path | None) -> Sequence:
     return load_sequence(name, dataset, folder)
+
+
+_held: dict[str, Sequence] = {}
+
+
+def hold(sequence: Sequence) -> None:
+    """Keep a sequence for the points of this process, which may have no data folder."""
+    _held[sequence.digest] = sequence
+
+
+def holds(digest: str) -> bool:
+    """Tell whether a sequence is kept."""
+    return digest in _held
 
 
 def point_arrays(point: Point, folder: Path | None) -> tuple[Any, Any, Any, tuple[slice, slice]]:
@@ -137,7 +187,7 @@ def point_arrays(point: Point, folder: Path | None) -> tuple[Any, Any, Any, tupl
     InputError
         The data are not what the point was planned for.
     """
-    sequence = _sequence(point.sequence, point.dataset, folder)
+    sequence = _held.get(point.data_digest) or _sequence(point.sequence, point.dataset, folder)
     if sequence.digest != point.data_digest:
         raise InputError(f"sequence {point.sequence}: the data changed while the sweep was running")
     if point.box is None:
@@ -151,10 +201,14 @@ _warmed: set[tuple[str, ...]] = set()
 
 
 def _warm_up(name: str, params: FlowParams) -> None:
-    """Compile, or load from numba's cache, all that a method calls, outside every timing."""
+    """Compile, or load from numba's cache, all that a method calls, outside every timing.
+
+    From then on the process computes on one thread: tables must not depend on the number of jobs.
+    """
     variant = (name, params.dtype, params.u_solver, params.inner, params.boundary)
     if variant not in _warmed:
         tiny = np.random.default_rng(0).uniform(0.0, 255.0, (2, 32, 32))
         small = params.replace({"n_scales": 2, "n_warps": 1, "max_iter": 2, "max_inner": 2})
         get_method(name).estimate(tiny[0], tiny[1], small)
+        threadpool_limits(1)  # of all libraries that are loaded by now
         _warmed.add(variant)

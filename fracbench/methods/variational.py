@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
+from fracbench.model import pyramid
 from fracbench.model.arrays import Array
+from fracbench.model.energy import regularity
 from fracbench.model.estimator import FlowResult, coarse_to_fine
 from fracbench.model.fractional import make_operator
 from fracbench.model.gradient import GradientOperator
@@ -39,12 +43,20 @@ def _tv_dual(params: FlowParams, shape: tuple[int, int], dtype: np.dtype) -> Reg
 
 
 def _split_bregman(params: FlowParams, shape: tuple[int, int], dtype: np.dtype) -> Regularizer:
-    return _bregman(NaturalGradient(1.0, shape, dtype), params)
+    return _bregman(_natural(params, shape, dtype), params)
 
 
 def split_bregman_alpha(params: FlowParams, shape: tuple[int, int], dtype: np.dtype) -> Regularizer:
     """Return the u-step of Algorithm 4 that `params` ask for, for a scale of this shape."""
-    return _bregman(make_operator(params.boundary, params.alpha, shape, dtype, params.pad), params)
+    return _bregman(_fractional(params, shape, dtype), params)
+
+
+def _natural(params: FlowParams, shape: tuple[int, int], dtype: np.dtype) -> GradientOperator:
+    return NaturalGradient(1.0, shape, dtype)
+
+
+def _fractional(params: FlowParams, shape: tuple[int, int], dtype: np.dtype) -> GradientOperator:
+    return make_operator(params.boundary, params.alpha, shape, dtype, params.pad)
 
 
 def _bregman(operator: GradientOperator, params: FlowParams) -> SplitBregman:
@@ -59,3 +71,40 @@ def _bregman(operator: GradientOperator, params: FlowParams) -> SplitBregman:
         tol=params.tol,
         max_inner=params.max_inner,
     )
+
+
+_GRADIENTS = {"tvl1": _natural, "tvl1_sb": _natural, "tvl1_sb_alpha": _fractional}
+
+
+def energy_growth(name: str, frame0: Array, frame1: Array, flow: Array, params: FlowParams) -> float | None:
+    """Return the regularity of a flow relative to the energy of no flow.
+
+    That is ``(R(u1) + R(u2)) / (lambda sum |I1 - I0|)``. The data term is bounded, so that an energy which grows
+    without bound does so in R.
+
+    Parameters
+    ----------
+    name : str
+        The method.
+    frame0, frame1 : ndarray, shape (H, W)
+        Gray frames.
+    flow : ndarray, shape (2, H, W)
+        What the method made of them; finite.
+    params : FlowParams
+        Parameters it used.
+
+    Returns
+    -------
+    float or None
+        None for a method that minimises another energy; infinite or NaN where the sums overflow, or for a
+        flow between equal frames.
+    """
+    if name not in _GRADIENTS:
+        return None
+    dtype = np.dtype(params.dtype)
+    first, second = pyramid.stretch(frame0, frame1, dtype)
+    operator = _GRADIENTS[name](params, first.shape, dtype)
+    before = params.lambda_ * float(np.abs(second - first).sum(dtype=np.float64))
+    with np.errstate(over="ignore", invalid="ignore"):
+        after = sum(regularity(operator, component) for component in np.asarray(flow, dtype))
+    return after / before if before else (math.inf if after else 0.0)

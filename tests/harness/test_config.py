@@ -246,6 +246,11 @@ def test_a_region_of_another_sequence_is_refused():
     [
         ("parallel.jobs", "0", "parallel.jobs must be at least 1, got 0"),
         ("parallel.jobs", "two", "`parallel.jobs` must be a whole number, got 'two'"),
+        ("parallel.timeout", "0", "parallel.timeout must be a number of seconds above 0, got 0"),
+        ("parallel.timeout", "nan", "parallel.timeout must be a number of seconds above 0, got nan"),
+        ("parallel.timeout", "soon", "`parallel.timeout` must be a number of seconds, got 'soon'"),
+        ("parallel.address", "head", "parallel.address must be like tcp://HOST:8786, got 'head'"),
+        ("parallel.address", "tcp://head:8786", "parallel.address=tcp://head:8786 needs parallel=dask"),
         ("context", "-1", "context must be at least 0 pixels, got -1"),
         ("context", "1.5", "`context` must be a whole number, got '1.5'"),
         ("context", "null", "`context` must be a whole number, got 'null'"),

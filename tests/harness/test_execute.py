@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from joblib.externals.loky.process_executor import BrokenProcessPool
 
 from fracbench.errors import FracbenchError
-from fracbench.harness import execute
+from fracbench.harness import execute, spool, workers
 from fracbench.harness import plan as plan_module
 from fracbench.harness.plan import make_plan
 from fracbench.harness.store import Store
@@ -36,25 +42,29 @@ def replace_point(monkeypatch, instead):
     The functions reach the workers by value: they see what is enclosed here, and no other change made in
     this process.
     """
-    parent = os.getpid()
 
-    def marked(key, point, folder, started):
+    def compute(job, folder, parent):
         import os
+        from functools import partial
 
-        from fracbench.harness import execute, task
+        from fracbench.harness import task, workers
+        from fracbench.harness.job import Outcome
 
         def finish(status="done", error=None):
-            return task.Outcome(status, error, {}, 1.0, None, {"host": "h"})
+            return Outcome(status, error, {}, 1.0, None, {"host": "h"})
+
+        def run_point(point, folder, guard):
+            with guard():
+                return instead(point, finish)
 
         assert os.getpid() != parent, "a point was computed in the parent's own process"
-        real = task.run_point
-        task.run_point = lambda point, folder: instead(point, finish)
+        real, task.run_point = task.run_point, run_point
         try:
-            return execute._marked(key, point, folder, started)
+            task.work(job, partial(workers._deliver, folder, parent), partial(os._exit, 1))
         finally:
             task.run_point = real
 
-    monkeypatch.setattr(execute, "_marked", marked)
+    monkeypatch.setattr(workers, "_compute", compute)
 
 
 # -- what is computed ----------------------------------------------------------------------------
@@ -106,7 +116,14 @@ def test_what_is_missing_is_told_before_it_is_computed(store):
 
 def test_rows_are_stored_as_they_come(store, tmp_path, monkeypatch):
     """Whatever stops the sweep later."""
-    replace_point(monkeypatch, lambda point, finish: finish())
+
+    def instead(point, finish):
+        import time
+
+        time.sleep(0.3)
+        return finish()
+
+    replace_point(monkeypatch, instead)
     made = plan("alpha=0,1,2")
 
     def stop(row):
@@ -190,7 +207,7 @@ def read_log(log: Path) -> list[list[str]]:
 
 
 def test_a_worker_that_dies_costs_its_point_one_retry_alone(store, monkeypatch, tmp_path):
-    """Points 0 and 1 are under way when 0 kills its worker: both are tried again, one after the other."""
+    """Point 0 kills its worker while 1 is under way: 1 goes on, and 0 is tried again when nothing else runs."""
     log = tmp_path / "log"
     log.touch()
 
@@ -199,23 +216,16 @@ def test_a_worker_that_dies_costs_its_point_one_retry_alone(store, monkeypatch, 
         import time
 
         alpha = point.params["alpha"]
-
-        def say(what):
-            with log.open("a") as file:
-                file.write(f"{what} {alpha}\n")
-
-        def started():
-            return log.read_text().split()
-
-        first_time = f"start {alpha}\n" not in log.read_text()
-        say("start")
+        with log.open("a") as file:
+            file.write(f"start {alpha}\n")
         if alpha == "0":
-            while "1" not in started():
+            while "1" not in log.read_text().split():
                 time.sleep(0.01)
             os._exit(9)
-        if alpha == "1" and first_time:
-            time.sleep(600)
-        say("end")
+        if alpha == "1":
+            time.sleep(0.5)
+        with log.open("a") as file:
+            file.write(f"end {alpha}\n")
         return finish()
 
     replace_point(monkeypatch, instead)
@@ -225,16 +235,12 @@ def test_a_worker_that_dies_costs_its_point_one_retry_alone(store, monkeypatch, 
     assert {alpha: row.status for alpha, row in rows.items()} == {
         "0": "crashed", "1": "done", "0.5": "done", "1.5": "done", "2": "done"
     }  # fmt: skip
-    assert {alpha: row.attempts for alpha, row in rows.items()} == {"0": 2, "1": 2, "0.5": 1, "1.5": 1, "2": 1}
+    assert {alpha: row.attempts for alpha, row in rows.items()} == {"0": 2, "1": 1, "0.5": 1, "1.5": 1, "2": 1}
     assert "the worker process died 2 times" in rows["0"].error
     assert store.get(rows["0"].key).status == "crashed"
     events = read_log(log)
-    assert sorted(alpha for what, alpha in events if what == "start") == ["0", "0", "0.5", "1", "1", "1.5", "2"]
-    # The retries follow the first death, and nothing begins between the start and the end of either.
-    retry_of_0 = [i for i, event in enumerate(events) if event == ["start", "0"]][1]
-    retry_of_1 = [i for i, event in enumerate(events) if event == ["start", "1"]][1]
-    assert {retry_of_0, retry_of_1} == {2, 3}
-    assert events[retry_of_1 + 1] == ["end", "1"]
+    assert sorted(alpha for what, alpha in events if what == "start") == ["0", "0", "0.5", "1", "1.5", "2"]
+    assert events[-1] == ["start", "0"]
     # ... and the sweep can be run again.
     replace_point(monkeypatch, lambda point, finish: finish())
     report = execute.run(made, store, jobs=2, rerun_failed=True)
@@ -254,9 +260,256 @@ def test_one_worker_may_die_as_well(store, monkeypatch):
     replace_point(monkeypatch, instead)
     made = plan("alpha=0,1,2")
     rows = by_alpha(made, execute.run(made, store, jobs=1))
-    assert {alpha: row.status for alpha, row in rows.items()} == {"0": "done", "1": "crashed", "2": "done"}
-    # Point 0 may be started twice: its outcome can be on its way when the worker dies at once after it.
-    assert rows["1"].attempts == 2 and rows["0"].attempts <= 2 and rows["2"].attempts == 1
+    assert {alpha: (row.status, row.attempts) for alpha, row in rows.items()} == {
+        "0": ("done", 1), "1": ("crashed", 2), "2": ("done", 1)
+    }  # fmt: skip
+
+
+def test_a_worker_that_dies_after_its_point_is_finished_loses_nothing(store, monkeypatch, tmp_path):
+    log = tmp_path / "log"
+    replace_point(monkeypatch, lambda point, finish: finish())
+    finish_and_say = workers._compute
+
+    def compute(job, folder, parent):
+        import os
+
+        with log.open("a") as file:
+            file.write(f"start {job.key}\n")
+        finish_and_say(job, folder, parent)
+        os._exit(9)
+
+    monkeypatch.setattr(workers, "_compute", compute)
+    report = execute.run(plan("alpha=0,1,2"), store, jobs=2)
+    assert {(row.status, row.attempts) for row in report.rows.values()} == {("done", 1)}
+    assert len(read_log(log)) == 3
+
+
+def test_a_point_over_time_is_a_row_and_costs_no_other(store, monkeypatch, tmp_path):
+    log = tmp_path / "log"
+
+    def instead(point, finish):
+        import time
+
+        with log.open("a") as file:
+            file.write(f"{point.params['alpha']}\n")
+        while point.params["alpha"] == "0":  # no sleep: the clock must get its turn
+            pass
+        time.sleep(0.4 if point.params["alpha"] == "1" else 0.0)
+        return finish()
+
+    replace_point(monkeypatch, instead)
+    made = plan("alpha=0,1,2", "parallel.timeout=1")
+    report = execute.run(made, store, jobs=2)
+    rows = by_alpha(made, report)
+    assert {alpha: (row.status, row.attempts) for alpha, row in rows.items()} == {
+        "0": ("timeout", 1), "1": ("done", 1), "2": ("done", 1)
+    }  # fmt: skip
+    assert rows["0"].error == "not finished within the 1 s allowed"
+    assert sorted(log.read_text().split()) == ["0", "1", "2"]
+
+
+def test_a_worker_that_dies_while_it_is_idle_costs_nothing(store, monkeypatch):
+    replace_point(monkeypatch, lambda point, finish: finish())
+    execute.run(plan("alpha=0"), store, jobs=1)
+    idle = workers._idle[-1]
+    os.kill(idle._ready.result(), signal.SIGTERM)
+    with pytest.raises(BrokenProcessPool):  # the death is noticed after a moment
+        while True:
+            idle.submit(os.getpid)
+            time.sleep(0.05)
+    report = execute.run(plan("alpha=1"), store, jobs=1)
+    assert [(row.status, row.attempts) for row in report.rows.values()] == [("done", 1)]
+
+
+def test_a_worker_that_loky_replaces_costs_nothing(store, monkeypatch):
+    """As it does with one that has grown; the new one, too, ends with its parent and leaves Ctrl-C to it."""
+    pytest.importorskip("psutil", reason="without it loky replaces no worker")
+
+    def instead(point, finish):
+        import signal
+        import threading
+
+        from joblib.externals.loky import process_executor
+
+        process_executor._MAX_MEMORY_LEAK_SIZE = -(2**40)
+        process_executor._MEMORY_LEAK_CHECK_DELAY = 0.0
+        watched = any(thread.name == "parent" for thread in threading.enumerate())
+        deaf = signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+        return finish() if watched and deaf else finish("failed", f"watched: {watched}, deaf: {deaf}")
+
+    replace_point(monkeypatch, instead)
+    monkeypatch.setattr(workers, "_idle", [])
+    report = execute.run(plan("alpha=0:2:0.5"), store, jobs=1)
+    assert [(row.error, row.attempts) for row in report.rows.values()] == [(None, 1)] * 5
+    (pid,) = (place.submit(os.getpid).result() for place in workers._idle)
+    workers.dismiss()
+    assert workers._idle == [] and not _alive(pid)
+
+
+# -- what was finished without being stored, and sweeps at once -----------------------------------
+
+
+def test_what_was_finished_but_not_stored_is_taken_not_computed(store, fake_rows):
+    made = plan("alpha=0,1")
+    first, second = fake_rows(made).values()
+    folder = spool.folder_of(store.path)
+    folder.mkdir()
+    spool.write(folder, first)
+    (folder / f"{second.key}.json").write_text('{"key": ')
+    report, todo = execute.missing(made, store)
+    assert (list(report.rows), list(todo)) == ([first.key], [second.key])
+    assert store.rows() == [first]
+    assert list(folder.iterdir()) == []
+
+
+OTHER_SWEEP = """
+import sys
+from fracbench.harness import spool
+with spool.Claims(spool.Path(sys.argv[1])) as claims:
+    print(claims.take(sys.argv[2]), flush=True)
+    sys.stdin.readline()
+"""
+
+
+@pytest.mark.skipif(spool.fcntl is None, reason="this system has no such locks")
+def test_two_sweeps_share_the_work(store, fake_rows, monkeypatch):
+    """A point that another process has claimed is left to it, and its row is taken from the store."""
+    replace_point(monkeypatch, lambda point, finish: finish())
+    made = plan("alpha=0,1,2")
+    theirs, *ours = fake_rows(made).values()
+    folder = spool.folder_of(store.path)
+    folder.mkdir()
+    other = subprocess.Popen(
+        [sys.executable, "-c", OTHER_SWEEP, str(folder), theirs.key],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert other.stdout.readline() == "True\n"
+    with spool.Claims(folder) as claims:
+        assert [claims.take(theirs.key), claims.take(ours[0].key)] == [False, True]
+        claims.release(ours[0].key)
+
+    def on_row(row):
+        if len(store.rows()) == 2:  # both of ours: now the other one finishes, too
+            store.put(theirs)
+            other.communicate("go on\n", timeout=60)
+
+    report = execute.run(made, store, jobs=2, on_row=on_row)
+    assert (report.computed, report.reused, len(report.rows)) == (2, 1, 3)
+    assert report.rows[theirs.key] == theirs
+
+
+@pytest.mark.skipif(spool.fcntl is None, reason="this system has no such locks")
+def test_a_claim_ends_with_its_process(store):
+    folder = spool.folder_of(store.path)
+    with spool.Claims(folder) as claims:
+        other = subprocess.Popen(
+            [sys.executable, "-c", OTHER_SWEEP, str(folder), "abc"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        )
+        other.stdout.readline()
+        assert not claims.take("abc")
+        other.kill()
+        other.communicate(timeout=60)
+        assert claims.take("abc")
+
+
+def test_the_largest_points_go_first(store, monkeypatch):
+    replace_point(monkeypatch, lambda point, finish: finish())
+    made = plan("alpha=0,1,2")
+    boxes = [(0, 20, 0, 20), None, (0, 100, 0, 100)]
+    points = [
+        replace(planned, point=replace(planned.point, box=box))
+        for planned, box in zip(made.points, boxes, strict=True)
+    ]
+    seen = []
+    execute.run(replace(made, points=tuple(points)), store, jobs=1, on_row=seen.append)
+    assert [row.spec["box"] for row in seen] == [None, [0, 100, 0, 100], [0, 20, 0, 20]]
+
+
+# -- what stops a sweep ----------------------------------------------------------------------------
+
+
+def test_workers_end_with_their_parent(tmp_path):
+    """Also while they compute; what they were at is not finished behind the back of the next run."""
+    script = tmp_path / "parent.py"
+    script.write_text(ORPHANS)
+    parent = subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True, cwd=tmp_path)
+    worker = int(parent.stdout.readline())
+    parent.kill()
+    parent.communicate(timeout=60)
+    deadline = time.monotonic() + 30
+    while _alive(worker) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not _alive(worker)
+    assert [path.name for path in (tmp_path / "store.sqlite-spool").iterdir()] == ["claims"]
+
+
+ORPHANS = """
+from fracbench.harness import execute, workers
+from fracbench.harness.plan import make_plan
+from fracbench.harness.store import Store
+
+def run(path):
+    def compute(job, folder, parent):
+        import os, time
+        os.write(1, f"{os.getpid()}\\n".encode())
+        time.sleep(600)
+    workers._compute = compute
+    with Store(path) as store:
+        execute.run(make_plan(["sequence=synthetic_flat"]), store, jobs=1)
+
+if __name__ == "__main__":
+    run("store.sqlite")
+"""
+
+
+def _alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    status = Path(f"/proc/{pid}/status")
+    return not (status.exists() and "State:\tZ" in status.read_text())
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="signals cannot be blocked here")
+def test_workers_leave_ctrl_c_to_their_parent(store, monkeypatch):
+    """A terminal sends it to all; a worker would answer with a traceback, and its point would be lost."""
+
+    def instead(point, finish):
+        import os
+        import signal
+        import time
+
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.1)
+        return finish()
+
+    replace_point(monkeypatch, instead)
+    report = execute.run(plan("alpha=0,1"), store, jobs=1)
+    assert [row.status for row in report.rows.values()] == ["done", "done"]
+
+
+def test_a_spool_that_cannot_be_written_is_one_clear_error(store, monkeypatch):
+    replace_point(monkeypatch, lambda point, finish: finish())
+
+    def full(folder, parent, row):
+        raise OSError(28, "No space left on device")
+
+    real = workers._compute
+
+    def compute(job, folder, parent):
+        from fracbench.harness import workers
+
+        workers._deliver = full
+        real(job, folder, parent)
+
+    monkeypatch.setattr(workers, "_compute", compute)
+    with pytest.raises(FracbenchError, match="No space left on device; free some space") as caught:
+        execute.run(plan("alpha=0,1"), store, jobs=1)
+    assert str(spool.folder_of(store.path)) in str(caught.value)
+    assert store.rows() == []
 
 
 def test_one_job_means_one_point_at_a_time(store, monkeypatch, tmp_path):
@@ -277,16 +530,21 @@ def test_one_job_means_one_point_at_a_time(store, monkeypatch, tmp_path):
 
 
 def test_workers_that_die_before_they_begin_end_the_sweep(store, monkeypatch):
-    def marked(key, point, folder, started):
+    def get_ready(parent):
         import os
 
         os._exit(9)
 
-    monkeypatch.setattr(execute, "_marked", marked)
+    monkeypatch.setattr(workers, "_get_ready", get_ready)
+    monkeypatch.setattr(workers, "_idle", [])
     with pytest.raises(FracbenchError, match="die before they begin"):
         execute.run(plan("alpha=0,1"), store, jobs=2)
     assert store.rows() == []
 
 
-def test_no_points_need_no_workers():
-    assert list(execute.outcomes({}, None, 2)) == []
+def test_no_points_need_no_workers(store, fake_rows, monkeypatch):
+    made = plan("alpha=0")
+    for row in fake_rows(made).values():
+        store.put(row)
+    monkeypatch.delattr(execute, "_crew")
+    assert execute.run(made, store, jobs=2).reused == 1

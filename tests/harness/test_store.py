@@ -100,6 +100,19 @@ def test_numbers_json_cannot_hold_come_back_as_none(store: Store) -> None:
     assert (row.seconds, row.peak_mib) == (0.25, None)
 
 
+def test_a_row_comes_back_from_its_text_as_from_the_store(store: Store) -> None:
+    row = a_row(result={"aepe": float("nan"), "steps": (np.int64(3), 0.1)}, error="x\nü\udce4")
+    store.put(row)
+    again = Row.from_json(row.to_json())
+    assert len(row.to_json().splitlines()) == 1
+    assert again.result == store.rows()[0].result
+    store.put(again)
+    assert store.rows()[0].error == store.get("k").error
+    for text in ("", "[]", '{"key": "k"}', '{"status": "dome"}', row.to_json().replace("done", "dome")):
+        with pytest.raises(ValueError):
+            Row.from_json(text)
+
+
 def test_an_error_text_that_is_not_unicode_is_kept_readable(store: Store) -> None:
     store.put(a_failure(error=f"cannot read {os.fsdecode(b'fr' + bytes([0xE4]) + b'me.png')}"))
     assert store.rows()[0].error == r"cannot read fr\udce4me.png"
@@ -234,6 +247,15 @@ def test_a_read_only_folder(store: Store, path: Path) -> None:
         assert "cannot be opened" in refusal(path.with_name("other.sqlite"))
     finally:
         path.parent.chmod(0o755)
+
+
+def test_a_reader_leaves_nothing_behind(path: Path) -> None:
+    with Store(path) as store:
+        store.put(a_row())
+    before = {file.name: file.read_bytes() for file in path.parent.iterdir()}
+    with Store(path, readonly=True) as reader:
+        assert len(reader.rows()) == 1
+    assert {file.name: file.read_bytes() for file in path.parent.iterdir()} == before
 
 
 # --- what cannot be opened, and what goes wrong later -------------------------------------------------

@@ -17,6 +17,7 @@ from fracbench.harness import task
 from fracbench.harness.plan import Point, canonical_value
 from fracbench.harness.task import point_arrays, run_point
 from fracbench.methods.registry import get_method
+from fracbench.methods.variational import energy_growth
 from fracbench.model.estimator import FlowResult
 from fracbench.model.params import FlowParams
 
@@ -164,6 +165,40 @@ def test_a_flow_that_is_not_finite_diverged(monkeypatch):
     assert outcome.result["stop"] == "diverged"
     assert outcome.result["n_nonfinite"] == 2
     assert np.isnan(outcome.result["aepe"])
+
+
+@pytest.mark.parametrize(("pixels", "status"), [(0.1, "done"), (1e5, "diverged"), (1e30, "diverged")])
+def test_a_flow_whose_energy_has_grown_diverged(monkeypatch, pixels, status):
+    """A fixed point that leaves its circle of convergence swings, and may be stopped before it overflows."""
+
+    def estimate(frame0, frame1, params):
+        result = still(frame0, frame1, params)
+        result.flow[:, ::2, ::2] = pixels
+        return result
+
+    use_method(monkeypatch, estimate)
+    outcome = run_point(a_point(), None)
+    assert outcome.status == status
+    assert outcome.result["n_nonfinite"] == 0
+    if status == "diverged":
+        assert outcome.error.startswith("diverged: the energy of the flow is ")
+        assert outcome.error.endswith(" times that of no flow")
+
+
+def test_the_energy_of_a_flow_is_compared_with_that_of_none():
+    """Closed form: a step of 2 pixels between two columns has the total variation 2 H."""
+    frame0 = np.tile(np.arange(32.0), (24, 1))
+    frame0[0, 0], frame0[0, 1] = 0.0, 255.0  # nothing is stretched
+    flow = np.zeros((2, 24, 32))
+    flow[0, :, 16:] = 2.0
+    params = FlowParams().replace({"dtype": "float64", "lambda": 0.25})
+    frame1 = frame0.copy()
+    frame1[5:15, 5:15] += 3.0
+    growth = energy_growth("tvl1_sb", frame0, frame1, flow, params)
+    assert growth == pytest.approx(2.0 * 24 / (0.25 * 300.0), rel=1e-12)
+    assert energy_growth("opencv_dis", frame0, frame1, flow, params) is None
+    assert energy_growth("tvl1", frame0, frame0, 0.0 * flow, params) == 0.0
+    assert energy_growth("tvl1", frame0, frame0, flow, params) == np.inf
 
 
 def test_data_that_changed_since_they_were_planned_are_not_computed_on():

@@ -1,0 +1,136 @@
+"""What a sweep costs besides its points: ``python -m fracbench.harness.scaling [ADDRESS]`` measures, extrapolates.
+
+40 points are computed on one worker process and on two; with the address of a Dask scheduler, on its workers too.
+"""
+
+from __future__ import annotations
+
+import pickle
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import mean
+
+from fracbench import console
+from fracbench.harness import execute, provenance
+from fracbench.harness.job import Job
+from fracbench.harness.plan import Plan, make_plan
+from fracbench.harness.store import Row, Store
+from fracbench.model import SOLVER_VERSION
+
+GRID = ("sequence=synthetic_edge", "alpha=0.05:2:0.05")
+_WARM = ("sequence=synthetic_edge", "alpha=2.0", "lambda=0.5,0.6", "max_iter=1")
+N_POINTS = 100_000
+
+
+@dataclass(frozen=True)
+class Lap:
+    """One run of the grid.
+
+    Attributes
+    ----------
+    wall, parent, point : float
+        Seconds: on the clock, of this process's processor a point, and of an estimate in the mean.
+    rows : list of Row
+        What was computed.
+    """
+
+    wall: float
+    parent: float
+    point: float
+    rows: list[Row]
+
+
+def run(plan: Plan, jobs: int) -> Lap:
+    """Compute a plan in a store of its own and time it."""
+    with tempfile.TemporaryDirectory(prefix="fracbench-") as folder, Store(Path(folder) / "store.sqlite") as store:
+        wall, parent = time.perf_counter(), time.process_time()
+        rows = list(execute.run(plan, store, jobs=jobs).rows.values())
+        wall, parent = time.perf_counter() - wall, time.process_time() - parent
+    return Lap(wall, parent / len(rows), mean(row.seconds or 0.0 for row in rows), rows)
+
+
+def write_seconds(rows: list[Row]) -> tuple[float, float]:
+    """Return the seconds that one row takes to be stored, and the bytes it takes up."""
+    with tempfile.TemporaryDirectory(prefix="fracbench-", dir=Path.cwd()) as folder:
+        path = Path(folder) / "store.sqlite"
+        Store(path).close()
+        before = path.stat().st_size
+        with Store(path) as store:
+            started = time.perf_counter()
+            for row in rows:
+                store.put(row)
+            seconds = time.perf_counter() - started
+        # Rows lie in the journal until the store is closed.
+        return seconds / len(rows), (path.stat().st_size - before) / len(rows)
+
+
+def message_bytes(plan: Plan, row: Row) -> tuple[int, int]:
+    """Return the bytes that go to a worker with a point, and that come back."""
+    key, point = next(iter(plan.unique().items()))
+    return len(pickle.dumps(Job(key, point, 1, SOLVER_VERSION, provenance.commit()))), len(row.to_json())
+
+
+def hours(n_points: int, workers: int, point: float, overhead: float, parent: float) -> float:
+    """Return the hours that a sweep takes: its workers' time or its parent's, whichever is longer.
+
+    Parameters
+    ----------
+    n_points, workers : int
+        Size of the sweep and of the cluster.
+    point, overhead, parent : float
+        Seconds a point: of the estimate, of the worker besides, and of the parent.
+
+    Returns
+    -------
+    float
+        ``n max((point + overhead) / workers, parent) / 3600``.
+    """
+    return n_points * max((point + overhead) / workers, parent) / 3600.0
+
+
+def main(address: str | None = None) -> None:
+    """Measure, and print what it comes to for `N_POINTS` points."""
+    plan = make_plan(GRID)
+    laps = {}
+    for jobs in (1, 2):
+        _warm_up(jobs)
+        laps[jobs] = run(plan, jobs)
+    for jobs, lap in laps.items():
+        _say(f"{jobs} worker(s)", lap, jobs)
+    console.say(f"two workers are {laps[1].wall / laps[2].wall:.2f} times as fast as one")
+    parent = laps[1].parent
+    if address is not None:
+        settings = ("parallel=dask", f"parallel.address={address}")
+        run(make_plan([*_WARM, *settings]), 1)
+        lap = run(make_plan([*GRID, *settings]), 1)
+        _say(f"workers of {address}", lap, None)
+        parent = lap.parent
+    seconds, size = write_seconds(laps[1].rows)
+    there, back = message_bytes(plan, laps[1].rows[0])
+    console.say(f"store: {1 / seconds:.0f} rows a second, {size:.0f} bytes a row")
+    console.say(f"messages: {there} bytes to a worker, {back} bytes back")
+    console.say(f"{N_POINTS} points: {N_POINTS * size / 2**20:.0f} MiB of store")
+    overhead = laps[1].wall / len(laps[1].rows) - laps[1].point
+    for workers in (2, 16, 128, 1024):
+        taken = hours(N_POINTS, workers, laps[1].point, overhead, parent + seconds)
+        console.say(f"{N_POINTS} points on {workers} workers: {taken:.2f} hours")
+
+
+def _warm_up(jobs: int) -> None:
+    """Start the workers and let them compile, as every sweep does once."""
+    run(make_plan(_WARM), jobs)
+
+
+def _say(who: str, lap: Lap, jobs: int | None) -> None:
+    text = f"{who}: {len(lap.rows)} points in {lap.wall:.2f} s, estimates of {1e3 * lap.point:.1f} ms"
+    if jobs is not None:
+        besides = lap.wall * jobs / len(lap.rows) - lap.point
+        text += f", {1e3 * besides:.1f} ms a point besides"
+    console.say(f"{text}, {1e3 * lap.parent:.1f} ms of this process a point")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:2])

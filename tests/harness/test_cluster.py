@@ -1,0 +1,208 @@
+"""A Dask cluster: the same rows as here, whoever dies; data go to workers that have none."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("distributed", reason="needs the extra `dask`")
+
+from fracbench.errors import DataError, FracbenchError, InputError
+from fracbench.harness import cluster, execute, spool
+from fracbench.harness.job import Job
+from fracbench.harness.plan import Point, make_plan
+from fracbench.harness.store import Store
+from fracbench.model import SOLVER_VERSION
+
+SMALL = ("sequence=synthetic_flat", "n_scales=1", "n_warps=1")
+
+
+class Running:
+    """A cluster of two worker processes, each with its nanny, in a process of its own."""
+
+    def __init__(self) -> None:
+        script = Path(__file__).with_name("cluster.py")
+        self.process = subprocess.Popen(
+            [sys.executable, str(script)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        self.address, *pids = self.process.stdout.readline().split()
+        self.workers = [int(pid) for pid in pids]
+
+    def close(self) -> None:
+        self.process.communicate("end\n", timeout=60)
+
+
+@pytest.fixture(scope="module")
+def running():
+    started = Running()
+    yield started
+    started.close()
+
+
+@pytest.fixture
+def store(tmp_path):
+    with Store(tmp_path / "store.sqlite") as opened:
+        yield opened
+
+
+def plan(*tokens, address):
+    return make_plan([*tokens, *SMALL, "parallel=dask", f"parallel.address={address}"], allow_download=False)
+
+
+def values(report):
+    return {
+        key: {name: value for name, value in row.result.items() if name != "phases"}
+        for key, row in report.rows.items()
+    }
+
+
+def replace_compute(monkeypatch, instead):
+    """Let workers call ``instead(compute)``; functions reach them by value, with what is enclosed here."""
+    real = cluster._compute
+
+    def compute(job, files, topic):
+        return instead(job, lambda: real(job, files, topic))
+
+    monkeypatch.setattr(cluster, "_compute", compute)
+
+
+def test_a_worker_killed_in_mid_sweep_costs_one_retry_and_changes_no_bit(running, store, tmp_path, monkeypatch):
+    def instead(job, compute):
+        import time
+
+        time.sleep(0.3)
+        return compute()
+
+    replace_compute(monkeypatch, instead)
+    made = plan("alpha=0:2:0.25", "max_iter=2", address=running.address)
+    killed = []
+
+    def on_row(row):
+        if not killed:
+            killed.append(running.workers.pop())
+            os.kill(killed[0], signal.SIGKILL)
+
+    report = execute.run(made, store, jobs=1, on_row=on_row)
+    assert (report.computed, report.failed) == (9, [])
+    assert sorted(row.attempts for row in report.rows.values()) == [1] * 8 + [2]
+    assert execute.run(made, store, jobs=1).computed == 0
+    with Store(tmp_path / "here.sqlite") as other:
+        here = execute.run(make_plan([*SMALL, "alpha=0:2:0.25", "max_iter=2"]), other, jobs=2)
+    assert values(here) == values(report)
+
+
+def test_what_a_worker_finished_outlives_it(running, store, monkeypatch, tmp_path):
+    log = tmp_path / "log"
+
+    def instead(job, compute):
+        import os
+        import time
+
+        with log.open("a") as file:
+            file.write(f"{job.key}\n")
+        compute()
+        time.sleep(1.0)  # the row is on its way, the result of the task is not
+        os._exit(9)
+
+    replace_compute(monkeypatch, instead)
+    report = execute.run(plan("alpha=0.1,0.2", "max_iter=1", address=running.address), store, jobs=1)
+    assert [(row.status, row.attempts) for row in report.rows.values()] == [("done", 1)] * 2
+    assert sorted(log.read_text().split()) == sorted(report.rows)
+
+
+def test_a_worker_that_dies_twice_makes_a_row(running, store, monkeypatch):
+    def instead(job, compute):
+        import os
+
+        if job.point.params["alpha"] == "0.3":
+            os._exit(9)
+        return compute()
+
+    replace_compute(monkeypatch, instead)
+    report = execute.run(plan("alpha=0.3,0.4", "max_iter=1", address=running.address), store, jobs=1)
+    assert sorted((row.status, row.attempts) for row in report.rows.values()) == [("crashed", 2), ("done", 1)]
+
+
+def test_a_point_over_time_is_a_row(running, store, monkeypatch):
+    def instead(job, compute):
+        import time
+
+        from fracbench.harness import task
+
+        def run_point(point, folder, guard):
+            with guard():
+                time.sleep(600)
+
+        real, task.run_point = task.run_point, run_point
+        try:
+            return compute()
+        finally:
+            task.run_point = real
+
+    replace_compute(monkeypatch, instead)
+    made = plan("alpha=0.5", "max_iter=1", "parallel.timeout=0.5", address=running.address)
+    (row,) = execute.run(made, store, jobs=1).rows.values()
+    assert (row.status, row.error, row.attempts) == ("timeout", "not finished within the 0.5 s allowed", 1)
+
+
+def test_real_data_are_sent_to_workers_that_have_none(running, store, middlebury):
+    tokens = ["region=grove2_B", "n_scales=1", "n_warps=1", "max_iter=1", f"paths.data={middlebury}"]
+    made = make_plan([*tokens, "parallel=dask", f"parallel.address={running.address}"])
+    report = execute.run(made, store, jobs=1)
+    assert [row.status for row in report.rows.values()] == ["done"]
+
+
+# -- without a cluster -----------------------------------------------------------------------------
+
+
+def a_job(**changes):
+    point = Point("tvl1", {}, "middlebury", "Grove2", None, 0, "digest")
+    return Job(
+        **{"key": "k", "point": point, "attempt": 1, "solver_version": SOLVER_VERSION, "commit": {}} | changes
+    )
+
+
+def test_data_that_are_not_what_they_should_be_are_refused():
+    with pytest.raises(DataError, match=r"Grove2/frame10\.png"):
+        cluster._unpack(a_job(), {"frame10.png": b"x", "frame11.png": b"y", "flow10.flo": b"z"})
+
+
+def test_a_worker_without_the_data_asks_for_them():
+    assert cluster._compute(a_job(), {}, "topic") is False
+
+
+def test_a_worker_with_another_solver_is_refused():
+    with pytest.raises(InputError, match="install the same fracbench"):
+        cluster._compute(a_job(solver_version=SOLVER_VERSION + 1), {}, "topic")
+
+
+@pytest.mark.parametrize(
+    ("address", "message"),
+    [(None, "needs the address of a scheduler"), ("tcp://127.0.0.1:9", "no Dask scheduler answers there")],
+)
+def test_a_scheduler_that_is_not_there(address, message, monkeypatch):
+    monkeypatch.setattr(cluster, "_CONNECT_SECONDS", 0.5)
+    with pytest.raises(InputError, match=message) as caught:
+        cluster.DaskCrew(address)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_dask_that_is_not_installed(monkeypatch):
+    monkeypatch.setattr(cluster.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r"pip install 'fracbench\[dask\]'"):
+        cluster.DaskCrew("tcp://127.0.0.1:8786")
+
+
+def test_a_scheduler_that_goes_ends_the_sweep_in_one_line(store):
+    own = Running()
+    made = plan("alpha=0,1,2", "max_iter=1", address=own.address)
+    with pytest.raises(FracbenchError, match="does not answer any more") as caught:
+        execute.run(made, store, jobs=1, on_row=lambda row: own.process.poll() is None and own.close())
+    assert len(str(caught.value).splitlines()) == 1
+    assert 1 <= len(store.rows()) <= 3
+    assert not list(spool.folder_of(store.path).glob("*.json"))
