@@ -220,13 +220,15 @@ class SplitBregman:
         warm : bool, optional
             Let the first step start from d = D u instead of smoothing u away, and relax the others.
         """
-        z, w, gamma = self._z[component], self._w, 1.0 / self._mu
-        relaxation = self._relaxation
+        z, w, gamma, relaxation = self._z[component], self._w, 1.0 / self._mu, self._relaxation
         if warm and not self._started[component]:
-            w[...] = self.operator.apply(u)
-            self._started[component], relaxation = True, 1.0
-        else:
-            share(lambda a, b: shrink_difference(z, gamma, w, a, b), w.shape[2])
+            self._started[component] = True
+            w[...] = self.operator.apply(u)  # d - b for d = D u, b = 0, a state that no z stands for
+            z[...] = (1.0 - relaxation) * w
+            self._u_step(v, u)
+            z += relaxation * w
+            return
+        share(lambda a, b: shrink_difference(z, gamma, w, a, b), w.shape[2])
         self._u_step(v, u)
         share(lambda a, b: bregman_update(w, gamma, relaxation, z, a, b), w.shape[2])
 
