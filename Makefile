@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 FRACBENCH := $(BIN)/python -m fracbench
 
 .DEFAULT_GOAL := help
-.PHONY: help setup table2 figures paper check test lint format clean
+.PHONY: help setup table2 figures paper readme check test test-python lint format clean
 
 help: ## list the commands
 	@awk -F ':.*## ' '/^[a-z0-9_-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -26,11 +26,18 @@ figures: $(VENV)/.ready ## all figures of the paper
 paper: $(VENV)/.ready ## everything of the paper, with a verdict on every claim, on one page
 	$(FRACBENCH) report
 
+readme: $(VENV)/.ready ## renew the answer in README.md from what is stored
+	$(FRACBENCH) claims --readme README.md
+
 check: $(VENV)/.ready ## recompute the stored tables and compare them cell by cell
 	$(FRACBENCH) check
 
 test: $(VENV)/.ready ## all tests
 	$(BIN)/python -m pytest
+
+test-python: $(VENV)/.ready ## the numerics without compilation: the same code as plain Python
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q $(addprefix tests/model/test_, $(addsuffix .py, \
+	  transforms proximal linear warping fractional energy pyramid))
 
 lint: $(VENV)/.ready ## style and types
 	$(BIN)/ruff check .

@@ -28,8 +28,8 @@ class _Parser(argparse.ArgumentParser):
         given = message.partition("invalid choice: '")[2].partition("'")[0]
         if given and choices:
             guess = nearest(given, choices)
-            hint = f"did you mean {guess!r}? " if guess else ""
-            message = f"unknown command {given!r}: {hint}(allowed: {', '.join(choices)})"
+            hint = f": did you mean {guess!r}?" if guess else ""
+            message = f"unknown command {given!r}{hint} (allowed: {', '.join(choices)})"
         raise InputError(" ".join(message.split()))
 
     def _subparsers_actions(self) -> list[Any]:
@@ -127,11 +127,13 @@ def _build_parser() -> argparse.ArgumentParser:
     report = add("report", _report, "run what is missing of the whole paper; write everything on one HTML page")
     report.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="dataset=, paths. and parallel only")
     report.add_argument("--jobs", type=int, help="worker processes (default: 2)")
+    report.add_argument("--dry-run", action="store_true", help="count points and minutes, compute nothing")
     report.add_argument("--timeout", metavar="SECONDS", help=_TIMEOUT)
     report.add_argument("--small", action="store_true", help=_SMALL)
     claims = add("claims", _claims, "judge the paper's claims by what is stored; compute nothing")
     claims.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="dataset= and paths. only")
     claims.add_argument("--small", action="store_true", help="judge the thinned grids")
+    claims.add_argument("--readme", type=Path, metavar="FILE", help="renew the answer between the markers in FILE")
     run = add("run", _run, "compute one configured flow; write it as .flo and as a picture")
     _add_overrides(run, grid=False)
     estimate = add("estimate", _estimate, "compute the flow between two images of your own")
@@ -151,7 +153,18 @@ def _build_parser() -> argparse.ArgumentParser:
     check.add_argument("names", nargs="*", metavar="NAME", help="stored tables (default: all)")
     check.add_argument("--jobs", type=int, default=2, help="worker processes (default: 2)")
     check.add_argument("--update", action="store_true", help="rewrite the stored tables instead")
+    check.add_argument(
+        "--spread",
+        action="store_true",
+        help="measure how far the tables move where nothing changed; with --update, write the tolerances",
+    )
     check.add_argument("--reason", default="", help="why they change; recorded beside them")
+    status = add("status", _status, "say what is done, failed, stale or missing, and which command goes on")
+    status.add_argument("words", nargs="*", metavar="EXPERIMENT|KEY=VALUE", help="default: all; dataset=, paths.")
+    status.add_argument("--json", action="store_true", help="print JSON")
+    compare = add("compare", _compare, "compare two stores, or the stored tables of two commits, cell by cell")
+    for side in ("first", "second"):
+        compare.add_argument(side, help="a store or folder of results, STORE@COMMIT, or a commit")
     bench = add("bench", _bench, "time the methods and the peers that are installed, interleaved, warm")
     bench.add_argument("--repeats", type=int, default=5, help="timed rounds; the median counts (default: 5)")
     bench.add_argument("--threads", type=int, default=1, help="of the solver, BLAS and OpenCV (default: 1)")
@@ -159,7 +172,7 @@ def _build_parser() -> argparse.ArgumentParser:
     bench.add_argument("--only", default="", metavar="NAME,...", help="contenders, by beginning of name")
     _add_overrides(bench, grid=False)
     data = add("data", _data, "say where the Middlebury data are and whether they are whole; fetch them")
-    data.add_argument("--download", action="store_true", help="download what is missing into the user's cache")
+    data.add_argument("--download", action="store_true", help="download what is missing, beside what there is")
     add("methods", _methods, "list the methods and their parameters")
     return parser
 
@@ -246,7 +259,7 @@ def _report(arguments: argparse.Namespace) -> int:
     from fracbench import reproduce
 
     settings = [*_settings("report", arguments.overrides), *_limit(arguments)]
-    failed = reproduce.report(settings, jobs=arguments.jobs, small=arguments.small)
+    failed = reproduce.report(settings, jobs=arguments.jobs, small=arguments.small, dry_run=arguments.dry_run)
     return EXIT_FAILED if failed else EXIT_DONE
 
 
@@ -254,7 +267,7 @@ def _claims(arguments: argparse.Namespace) -> int:
     from fracbench import reproduce
 
     settings = _settings("claims", arguments.overrides)
-    for line in reproduce.judge(settings, small=arguments.small):
+    for line in reproduce.judge(settings, small=arguments.small, readme=arguments.readme):
         console.say(line)
     return EXIT_DONE
 
@@ -302,12 +315,29 @@ def _estimate(arguments: argparse.Namespace) -> int:
 
 
 def _check(arguments: argparse.Namespace) -> int:
-    from fracbench import session
+    from fracbench import upkeep
 
-    if arguments.update:
-        session.update_references(arguments.names, arguments.reason, jobs=arguments.jobs)
+    if arguments.spread:
+        upkeep.measure_spread(arguments.names, jobs=arguments.jobs, update=arguments.update)
         return EXIT_DONE
-    return EXIT_DONE if session.check_references(arguments.names, jobs=arguments.jobs) else EXIT_CHECK
+    if arguments.update:
+        upkeep.update_references(arguments.names, arguments.reason, jobs=arguments.jobs)
+        return EXIT_DONE
+    return EXIT_DONE if upkeep.check_references(arguments.names, jobs=arguments.jobs) else EXIT_CHECK
+
+
+def _status(arguments: argparse.Namespace) -> int:
+    from fracbench import upkeep
+
+    _settings("status", [word for word in arguments.words if "=" in word])
+    upkeep.show_status(arguments.words, as_json=arguments.json)
+    return EXIT_DONE
+
+
+def _compare(arguments: argparse.Namespace) -> int:
+    from fracbench import upkeep
+
+    return EXIT_DONE if upkeep.compare_runs(arguments.first, arguments.second) else EXIT_CHECK
 
 
 def _bench(arguments: argparse.Namespace) -> int:
@@ -324,7 +354,7 @@ def _data(arguments: argparse.Namespace) -> int:
     from fracbench.data import middlebury
 
     if arguments.download:
-        middlebury.download(middlebury.cache_folder())
+        middlebury.download(middlebury.download_folder())
     location = middlebury.find()
     console.say(f"Middlebury: {location.folder} (from {location.source})")
     whole = True

@@ -59,6 +59,6 @@ def unknown_name(kind: str, name: str, allowed: Iterable[str], where: str = "") 
     """
     options = sorted(allowed)
     guess = nearest(name, options)
-    hint = f"did you mean {guess!r}? " if guess else ""
+    hint = f": did you mean {guess!r}?" if guess else ""
     place = f"{where}: " if where else ""
-    return InputError(f"{place}unknown {kind} {name!r}: {hint}(allowed: {', '.join(options)})")
+    return InputError(f"{place}unknown {kind} {name!r}{hint} (allowed: {', '.join(options)})")

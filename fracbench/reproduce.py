@@ -1,21 +1,29 @@
-"""The whole paper at once: every table, figure and study, then the page that judges them."""
+"""The whole paper at once: every table, figure and study, then the verdicts, and the page that shows them all."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from fracbench import console
-from fracbench.harness.experiment import list_experiments, load_experiment
-from fracbench.harness.plan import plan_experiment
-from fracbench.session import perform, say_failures
+from fracbench.harness.experiment import Experiment, list_experiments, load_experiment
+from fracbench.harness.plan import Plan, plan_experiment
+from fracbench.session import announce, perform, say_failures
+
+if TYPE_CHECKING:
+    from fracbench.report.sources import Sources
 
 _FIGURES = tuple(f"fig{number}" for number in range(1, 8))
 #: The paper's experiments in its order, what its claims need besides, and two studies of how it was computed.
 PAPER = ("table1", "table2", *_FIGURES, "regions_lambda_sb", "protocol_study", "solver_study")
 
 
-def report(settings: Sequence[str] = (), *, jobs: int | None = None, small: bool = False) -> int:
-    """Run what is missing of the paper and write the HTML page about it.
+def report(
+    settings: Sequence[str] = (), *, jobs: int | None = None, small: bool = False, dry_run: bool = False
+) -> int:
+    """Run what is missing of the paper, judge its claims, and write the HTML page about it.
 
     Parameters
     ----------
@@ -25,6 +33,8 @@ def report(settings: Sequence[str] = (), *, jobs: int | None = None, small: bool
         Worker processes; the configuration's number by default.
     small : bool, optional
         Thin the grids; the names of files say so.
+    dry_run : bool, optional
+        Count points and minutes only.
 
     Returns
     -------
@@ -37,24 +47,40 @@ def report(settings: Sequence[str] = (), *, jobs: int | None = None, small: bool
         Anything that the user can put right.
     """
     from fracbench.report.html import write_report
+    from fracbench.report.sources import Sources
 
-    start = plan_experiment({}, settings)
+    start = plan_experiment({}, settings, allow_download=not dry_run)
     for notice in start.notices:
         console.note(f"note: {notice}")
     if start.dataset == "synthetic":  # decided once: where there is no network, each look for data costs seconds
         settings = [*(token for token in settings if not token.startswith("dataset=")), "dataset=synthetic"]
-    failed = run_paper(settings, jobs=jobs, small=small)
-    console.say(f"wrote {write_report(start.config.results, settings, small)}")
+    experiments = {name: load_experiment(name) for name in PAPER if name in list_experiments()}
+    plans = {
+        name: plan_experiment(experiment.grids, settings, allow_download=not dry_run, small=small)
+        for name, experiment in experiments.items()
+    }
+    workers = start.config.parallel.jobs if jobs is None else jobs
+    if dry_run:
+        announce(_together(plans), start.config.results, workers)
+        return 0
+    failed = run_paper(experiments, plans, workers)
+    sources = Sources(start.config.results, settings, small, plans)
+    for line in write_verdicts(sources):
+        console.say(line)
+    console.say(f"wrote {write_report(sources)}")
+    console.say(f"{len(_together(plans).unique())} points in all")
     return failed
 
 
-def run_paper(settings: Sequence[str] = (), *, jobs: int | None = None, small: bool = False) -> int:
-    """Run what is missing of the experiments of the paper and write their artefacts, one line each.
+def run_paper(experiments: Mapping[str, Experiment], plans: Mapping[str, Plan], jobs: int) -> int:
+    """Run what is missing of some experiments and write their artefacts, one line each.
 
     Parameters
     ----------
-    settings, jobs, small
-        See `report`.
+    experiments, plans : mapping
+        By name, in order.
+    jobs : int
+        Worker processes.
 
     Returns
     -------
@@ -66,20 +92,24 @@ def run_paper(settings: Sequence[str] = (), *, jobs: int | None = None, small: b
     InputError
         Anything that the user can put right.
     """
-    known, failed = list_experiments(), 0
-    for name in (name for name in PAPER if name in known):
-        experiment = load_experiment(name)
-        plan = plan_experiment(experiment.grids, settings, small=small)
-        done, artefact = perform(experiment, plan, plan.config.parallel.jobs if jobs is None else jobs)
+    failed = 0
+    for name, experiment in experiments.items():
+        done, artefact = perform(experiment, plans[name], jobs)
         folders = ", ".join(dict.fromkeys(str(path.parent) for path in artefact.files))
-        counts = f"{len(plan.unique())} points, {done.computed} computed, wrote {len(artefact.files)} files"
+        counts = f"{len(plans[name].unique())} points, {done.computed} computed, wrote {len(artefact.files)} files"
         console.say(f"{name}: {counts} in {folders}")
         say_failures(done)
         failed += len(done.failed)
     return failed
 
 
-def judge(settings: Sequence[str] = (), *, small: bool = False) -> list[str]:
+def _together(plans: Mapping[str, Plan]) -> Plan:
+    """Return one plan with the points of all."""
+    points = tuple(planned for plan in plans.values() for planned in plan.points)
+    return replace(next(iter(plans.values())), points=points)
+
+
+def judge(settings: Sequence[str] = (), *, small: bool = False, readme: Path | None = None) -> list[str]:
     """Judge the paper's claims by what is stored, print and write the verdicts; nothing is computed.
 
     Parameters
@@ -88,6 +118,8 @@ def judge(settings: Sequence[str] = (), *, small: bool = False) -> list[str]:
         Overrides for all grids: data set, paths.
     small : bool, optional
         Judge the thinned grids.
+    readme : Path, optional
+        A Markdown file whose block between the answer's markers is renewed.
 
     Returns
     -------
@@ -99,14 +131,23 @@ def judge(settings: Sequence[str] = (), *, small: bool = False) -> list[str]:
     InputError
         Anything that the user can put right.
     """
-    from fracbench.report import claims
+    from fracbench.report import answer, claims
     from fracbench.report.sources import Sources
+
+    sources = Sources(plan_experiment({}, settings, allow_download=False).config.results, settings, small)
+    verdicts = claims.overview_table(sources.judged).drop(columns=["quotation", "place"])
+    console.show_table(verdicts, "The paper's claims")
+    lines = [*claims.count_lines(sources.judged), *write_verdicts(sources)]
+    if readme is not None:
+        lines.append(f"wrote {answer.renew(readme, sources)}")
+    return lines
+
+
+def write_verdicts(sources: Sources) -> list[str]:
+    """Write the verdicts and the picture that sums them up; return what was written, a line a file."""
+    from fracbench.report import answer, claims
     from fracbench.report.tables import ensure_folder
 
-    results = plan_experiment({}, settings, allow_download=False).config.results
-    sources = Sources(results, settings, small)
-    judged = claims.evaluate(sources.load)
-    verdicts = claims.overview_table(judged).drop(columns=["quotation", "place"])
-    console.show_table(verdicts, "The paper's claims")
-    files = claims.write_claims(judged, ensure_folder(results / "tables") / f"claims{sources.suffix}")
-    return [*claims.count_lines(judged), *(f"wrote {path}" for path in files)]
+    folder = ensure_folder(sources.results / "tables")
+    files = claims.write_claims(sources.judged, folder / f"claims{sources.suffix}")
+    return [f"wrote {path}" for path in (*files, *answer.write_answer(sources))]

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fracbench import console
-from fracbench.errors import InputError, unknown_name
+from fracbench.errors import InputError
 from fracbench.harness import execute
 from fracbench.harness.experiment import Experiment
 from fracbench.harness.grid import parse_overrides
@@ -74,7 +74,7 @@ def conduct(
         console.note(f"note: {notice}")
     results, workers = plan.config.results, jobs or plan.config.parallel.jobs
     if dry_run:
-        _announce(plan, results, workers, rerun_failed)
+        announce(plan, results, workers, rerun_failed=rerun_failed)
         return Conducted(plan)
     report, artefact = perform(experiment, plan, workers, rerun_failed=rerun_failed)
     _say_computed(report)
@@ -137,7 +137,8 @@ def require_workers(jobs: int) -> None:
         raise InputError(f"--jobs must be at least 1, got {jobs}")
 
 
-def _announce(plan: Plan, results: Path, jobs: int, rerun_failed: bool) -> None:
+def announce(plan: Plan, results: Path, jobs: int, *, rerun_failed: bool = False) -> None:
+    """Say how many points a plan has, how many are stored, and the minutes that the others take."""
     from fracbench.harness.cost import expected_seconds
 
     with Store(results / STORE, readonly=True) as store:
@@ -145,7 +146,7 @@ def _announce(plan: Plan, results: Path, jobs: int, rerun_failed: bool) -> None:
         seconds, measured = expected_seconds(todo.values(), store.rows("done"), jobs)
     basis = "from stored points of the same methods" if measured else "rough: nothing like it is stored yet"
     console.say(
-        f"{len(plan.points)} points, {report.reused} stored, {len(todo)} to compute on {jobs} processes: "
+        f"{len(plan.unique())} points, {report.reused} stored, {len(todo)} to compute on {jobs} processes: "
         f"about {seconds / 60:.1f} minutes ({basis})"
     )
     _say_settings(plan)
@@ -182,86 +183,6 @@ def say_failures(report: execute.Report) -> None:
             f"{len(report.failed)} of {len(report.rows)} points are not done (first: {report.failed[0].error}); "
             "the same command with --rerun failed tries them again"
         )
-
-
-def check_references(names: Sequence[str], *, jobs: int) -> bool:
-    """Recompute stored tables and say, cell by cell, what moved.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Stored tables; all if empty.
-    jobs : int
-        Worker processes.
-
-    Returns
-    -------
-    bool
-        Whether all that could be compared hold.
-
-    Raises
-    ------
-    InputError
-        An unknown name, or no table at all.
-    """
-    from fracbench.harness import regression
-    from fracbench.report.tables import tidy
-
-    require_workers(jobs)
-    wanted = _stored(names)
-    holds, compared = True, 0
-    for name in wanted:
-        plan = regression.plan_of(name)
-        with console.progress(len(plan.unique()) if plan else 0, name) as advance:
-            verdict = regression.check(name, jobs=jobs, tabulate=tidy, on_row=advance)
-        if verdict.skipped:
-            console.say(f"{name}: SKIPPED: {verdict.skipped}")
-            continue
-        compared += 1
-        word = "holds" if not verdict.differences else f"{len(verdict.differences)} DIFFERENCES"
-        console.say(f"{name}: {word} ({verdict.cells} cells compared)")
-        for difference in verdict.differences:
-            console.say(f"  {difference}")
-        holds = holds and not verdict.differences
-    return holds and compared > 0
-
-
-def _stored(names: Sequence[str]) -> list[str]:
-    from fracbench.harness.regression import stored_tables
-
-    tables = stored_tables()
-    for name in names:
-        if name not in tables:
-            raise unknown_name("stored table", name, tables)
-    if not tables:
-        raise InputError("check: there is no stored table under results/reference")
-    return list(names) or tables
-
-
-def update_references(names: Sequence[str], reason: str, *, jobs: int) -> None:
-    """Rewrite stored tables and record the reason.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Stored tables; all if empty. An experiment that is not stored yet becomes so.
-    reason : str
-        Why the numbers change.
-    jobs : int
-        Worker processes.
-
-    Raises
-    ------
-    InputError
-        Anything that the user can put right; nothing is written then.
-    """
-    from fracbench.harness import regression
-    from fracbench.report.tables import tidy
-
-    require_workers(jobs)
-    for name in list(names) or _stored(names):
-        for path in regression.update(name, reason, jobs=jobs, tabulate=tidy):
-            console.say(f"wrote {path}")
 
 
 def run_one(tokens: Sequence[str]) -> None:

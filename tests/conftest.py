@@ -1,17 +1,20 @@
 from __future__ import annotations
 
+from hashlib import sha256
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from fracbench.cli import main
+from fracbench.cli import EXIT_INPUT, main
 from fracbench.data import middlebury as middlebury_data
 from fracbench.data.files import write_flo, write_image
 from fracbench.data.synthetic import scene
 from fracbench.errors import DataError
+from fracbench.harness import regression, tolerances
 from fracbench.harness.store import Row
+from fracbench.report import drawing, style
 
 
 @pytest.fixture(scope="session")
@@ -35,6 +38,17 @@ def work(tmp_path, monkeypatch) -> Path:
 
 
 @pytest.fixture
+def reference(work, monkeypatch) -> Path:
+    """The folder for stored tables of a project of its own, which the working folder is; nothing is in it."""
+    folder = work / "results" / "reference"
+    folder.mkdir(parents=True)
+    for module in (regression, tolerances):
+        monkeypatch.setattr(module, "asset", lambda relative: work / relative)
+    monkeypatch.setattr(regression, "checkout", lambda: work)
+    return folder
+
+
+@pytest.fixture
 def tiny() -> list[str]:
     """Overrides for a point that takes a moment, on a rendered scene."""
     return ["sequence=synthetic_flat", "n_scales=1", "n_warps=1", "max_iter=2"]
@@ -53,6 +67,44 @@ def cli(capsys):
         return SimpleNamespace(code=code, **capsys.readouterr()._asdict())
 
     return run
+
+
+def _contents(folder: Path) -> dict[str, str | None]:
+    """Every file below a folder with its SHA-256, every folder with None; not what SQLite keeps while it reads."""
+    return {
+        str(path.relative_to(folder)): sha256(path.read_bytes()).hexdigest() if path.is_file() else None
+        for path in folder.rglob("*")
+        if not path.name.endswith((".sqlite-shm", ".sqlite-wal"))
+    }
+
+
+@pytest.fixture
+def contents():
+    """What `refused` compares before and after."""
+    return _contents
+
+
+@pytest.fixture
+def refused(capsys):
+    """A function that runs a command and checks that it is refused in one line that holds all of `named`.
+
+    No file below the folder is changed, made or left behind.
+    """
+
+    def check(folder: Path, argv, *named: str) -> str:
+        before = _contents(folder)
+        capsys.readouterr()
+        code = main([str(word) for word in argv])
+        out, err = capsys.readouterr()
+        assert code == EXIT_INPUT, out
+        assert err.startswith("fracbench: ") and err.endswith("\n") and err.count("\n") == 1
+        assert "Traceback" not in err + out
+        for word in named:
+            assert word in err, f"{word!r} is not in {err!r}"
+        assert _contents(folder) == before
+        return err
+
+    return check
 
 
 @pytest.fixture
@@ -74,6 +126,17 @@ def no_middlebury(monkeypatch) -> None:
 
     monkeypatch.setattr(middlebury_data, "_look_up", lambda explicit: None)
     monkeypatch.setattr(middlebury_data, "download", unreachable)
+
+
+@pytest.fixture
+def unwritten(monkeypatch) -> None:
+    """Figures are made but not written, which takes seconds; their files are listed all the same."""
+
+    def draw(stem, make, *shown, **looks):
+        make(*shown, **looks)
+        return style.figure_files(stem)
+
+    monkeypatch.setattr(drawing, "draw", draw)
 
 
 @pytest.fixture

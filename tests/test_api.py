@@ -155,7 +155,7 @@ def test_what_is_no_picture_is_refused(gray, frame):
 
 def test_unknown_methods_offer_the_nearest(gray):
     refused("unknown method 'tvl1_sb_alfa': did you mean 'tvl1_sb_alpha'?", *gray, method="tvl1_sb_alfa")
-    refused(r"unknown method 'zzzz': \(allowed: .*tvl1, tvl1_sb, tvl1_sb_alpha", *gray, method="zzzz")
+    refused(r"unknown method 'zzzz' \(allowed: .*tvl1, tvl1_sb, tvl1_sb_alpha", *gray, method="zzzz")
 
 
 def test_unknown_parameters_offer_the_nearest(gray):

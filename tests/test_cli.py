@@ -19,8 +19,9 @@ from fracbench.cli import EXIT_CHECK, EXIT_DONE, EXIT_FAILED, EXIT_INPUT
 from fracbench.data import middlebury as middlebury_data
 from fracbench.data.files import read_flow, read_image
 from fracbench.evaluation.metrics import flow_errors
-from fracbench.harness import execute, regression
+from fracbench.harness import execute, regression, spread, tolerances
 from fracbench.harness.store import Store
+from fracbench.harness.tolerances import MEASURED
 from fracbench.harness.workers import LocalCrew
 from fracbench.methods.registry import METHODS
 
@@ -387,17 +388,13 @@ def test_a_flow_on_a_stand_in_says_so_in_its_name(cli, work, no_middlebury):
 
 
 @pytest.fixture
-def project(work, tiny, monkeypatch) -> Path:
+def project(work, tiny, reference) -> Path:
     (work / "experiments").mkdir()
     grid = ", ".join([*tiny, "'alpha=0.5,1'"])
     (work / "experiments" / "mini.yaml").write_text(f"title: Mini\ngrid: [{grid}]\n")
-    folder = work / "results" / "reference"
-    folder.mkdir(parents=True)
     tolerance = 'absolute = 1e-6\nrelative = 1e-3\nbasis = "b"\nreason = "r"\n'
-    (folder / "tolerances.toml").write_text("".join(f"[{name}]\n{tolerance}" for name in regression.MEASURED))
-    monkeypatch.setattr(regression, "asset", lambda relative: work / relative)
-    monkeypatch.setattr(regression, "checkout", lambda: work)
-    return folder
+    (reference / "tolerances.toml").write_text("".join(f"[{name}]\n{tolerance}" for name in MEASURED))
+    return reference
 
 
 def test_check_says_what_holds_and_which_cell_moved(cli, project):
@@ -431,6 +428,31 @@ def test_an_update_needs_a_reason(cli, project):
         'fracbench: check --update needs --reason "why the stored numbers change"\n',
     )
     assert tree(project) == before
+
+
+def test_the_spread_is_measured_and_the_tolerances_follow(cli, project, monkeypatch):
+    def answer(name, circumstance):
+        moved = 0.01 if circumstance.dtype else 0.0
+        result = {"aae": 0.1, "aepe": 0.2 + moved, "sdae": 0.3, "n_pixels": 1, "n_unknown": 0, "n_nonfinite": 0}
+        return dict.fromkeys(regression.plan_of(name).unique(), result)
+
+    cli("check", "mini", "--update", "--reason", "first")
+    monkeypatch.setattr(spread, "_in_a_process", answer)
+    before = tree(project)
+    said = cli("check", "--spread")
+    assert said.code == EXIT_DONE
+    assert re.search(r"mini +│ float64 +│ 0.0e\+00 │ 5.0e-02 │ 0.0e\+00", said.out)
+    assert tree(project) == before
+    said = cli("check", "--spread", "--update")
+    assert re.findall("wrote .*/(.*)", said.out) == ["mini.csv", "mini.json", "tolerances.toml"]
+    assert tolerances.load_tolerances().columns["aepe"].relative == pytest.approx(0.2)
+    assert cli("check").err == ""
+    assert cli("check", "nothing", "--spread").code == EXIT_INPUT
+
+
+def test_a_spread_that_was_not_measured_is_remarked_upon(cli, project):
+    cli("check", "mini", "--update", "--reason", "first")
+    assert "the spread of mini is not that of this solver: check --spread --update" in cli("check").err
 
 
 def test_nothing_compared_is_no_success(cli, project, no_middlebury):
@@ -478,9 +500,8 @@ def test_the_state_of_the_data_is_told(cli, registered):
 def test_data_can_be_fetched(cli, registered, monkeypatch):
     fetched = []
     monkeypatch.setattr(middlebury_data, "download", fetched.append)
-    monkeypatch.setattr(middlebury_data, "cache_folder", lambda: Path("cache"))
     assert cli("data", "--download").code == EXIT_DONE
-    assert fetched == [Path("cache")]
+    assert fetched == [registered]
     assert cli("data").code == EXIT_DONE
     assert len(fetched) == 1
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import subprocess
 import sys
+import sysconfig
 import tomllib
+import venv
 import zipfile
 from pathlib import Path
 
@@ -100,6 +103,83 @@ def test_the_wheel_works_without_the_checkout(wheel, tmp_path):
     assert done.stderr == f"{tmp_path / 'site' / 'fracbench' / '__init__.py'}\n"
     assert done.returncode == 0
     assert done.stdout.startswith("21 points, 0 stored, 21 to compute")
+
+
+@pytest.fixture(scope="module")
+def installed(wheel, tmp_path_factory) -> Path:
+    """An environment of its own with the wheel installed by pip; dependencies are those of this one."""
+    pytest.importorskip("pip")
+    folder = tmp_path_factory.mktemp("installed") / "venv"
+    venv.create(folder, symlinks=True)
+    python = folder / "bin" / "python"
+    pip = [sys.executable, "-m", "pip", "--python", str(python), "--disable-pip-version-check", "--quiet"]
+    subprocess.run([*pip, "install", "--no-deps", "--no-index", str(wheel)], check=True, env=bare(folder))
+    (site,) = (folder / "lib").glob("python*/site-packages")
+    here = dict.fromkeys(sysconfig.get_path(name) for name in ("purelib", "platlib"))
+    (site / "dependencies.pth").write_text("\n".join(here) + "\n")
+    return folder
+
+
+def bare(home: Path) -> dict[str, str]:
+    """An environment with no word about this checkout."""
+    return {"PATH": os.defpath, "HOME": str(home), "MPLCONFIGDIR": str(home), "NUMBA_NUM_THREADS": "1"}
+
+
+def test_an_installed_package_works_from_another_folder(installed, images):
+    """estimate, sweep and table 2, from a working folder that has nothing to do with the checkout."""
+
+    def fracbench_(*words: str) -> str:
+        command = [str(installed / "bin" / "fracbench"), *words]
+        done = subprocess.run(command, cwd=images, capture_output=True, text=True, env=bare(installed))
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    assert fracbench_("--version") == f"fracbench {fracbench.__version__}\n"
+    quick = ("n_scales=1", "n_warps=1", "max_iter=2")
+    said = fracbench_("estimate", "a.png", "b.png", "-o", "out.flo", "--truth", "t.flo", *quick)
+    assert "AEPE" in said and (images / "out.flo").is_file() and (images / "out.color.png").is_file()
+    said = fracbench_("sweep", "alpha=0.5,1", "sequence=synthetic_flat", *quick, "--jobs", "1")
+    assert "wrote results/sweeps/" in said
+    said = fracbench_("table", "2", "dataset=synthetic", "--small", "--jobs", "1")
+    assert "wrote results/tables/table2_synthetic_small.csv" in said
+    written = {path.relative_to(images).parts[:2] for path in images.rglob("*") if path.is_file()}
+    inputs = {("a.png",), ("b.png",), ("t.flo",)}
+    assert written - inputs == {
+        ("out.flo",), ("out.color.png",), ("results", "runs"), ("results", "sweeps"), ("results", "tables")
+    }  # fmt: skip
+
+
+def test_the_installed_package_is_the_wheels(installed):
+    code = (
+        "import fracbench, fracbench.harness.assets as a; print(fracbench.__file__, a.asset('conf'), a.checkout())"
+    )
+    python = str(installed / "bin" / "python")
+    said = subprocess.run([python, "-c", code], capture_output=True, text=True, env=bare(installed), cwd=installed)
+    file, conf, checkout_ = said.stdout.split()
+    assert Path(file).is_relative_to(installed) and Path(conf).is_relative_to(installed)
+    assert checkout_ == "None"
+
+
+def test_the_versions_of_python_are_said_once(project, wheel):
+    """The classifiers start where requires-python does."""
+    said = metadata(wheel, "METADATA")
+    least = re.search(r"^Requires-Python: >=3\.(\d+)$", said, re.MULTILINE)
+    minors = [
+        int(minor)
+        for minor in re.findall(r"^Classifier: Programming Language :: Python :: 3\.(\d+)$", said, re.MULTILINE)
+    ]
+    assert minors == list(range(int(least[1]), max(minors) + 1))
+
+
+def test_hydra_is_used_without_a_word_of_warning(monkeypatch):
+    """What Hydra 1.3 warns of, 1.4 may refuse; warnings are errors here, and none is silenced."""
+    from fracbench.harness import config
+
+    config._compose.cache_clear()
+    for group in config.GROUPS:
+        config.load_config({group: config.group_options(group)[0]})
+    source = Path(config.__file__).read_text(encoding="utf-8")
+    assert "simplefilter" not in source and 'version_base="1.3"' in source
 
 
 def test_there_is_one_version(project, wheel):

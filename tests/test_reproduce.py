@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pandas as pd
 import pytest
 
 from fracbench import reproduce
@@ -20,17 +21,20 @@ def paper(work, monkeypatch):
     (folder / "one.yaml").write_text(f"grid: [{TINY}, 'alpha=0,1,1.5,2']\n")
     (folder / "two.yaml").write_text(f"grids:\n  a: [{TINY}, 'alpha=1']\n  b: [{TINY}, 'theta=0.1,0.2']\n")
     monkeypatch.setattr(reproduce, "PAPER", ("one", "none", "two"))
-    monkeypatch.setattr(html, "write_report", lambda results, settings, small: results / "page.html")
+    monkeypatch.setattr(html, "write_report", lambda sources: sources.results / "page.html")
     return work
 
 
 def test_what_is_missing_is_computed_once_and_said_in_a_line_each(paper, cli):
     done = cli("report", "dataset=synthetic", "paths.results=out")
-    assert (done.code, done.out.splitlines()) == (
-        0,
-        ["one: 4 points, 4 computed, wrote 3 files in out/sweeps",
-         "two: 3 points, 2 computed, wrote 3 files in out/sweeps", "wrote out/page.html"],
-    )  # fmt: skip
+    assert done.code == 0
+    lines = done.out.splitlines()
+    assert lines[:2] == [
+        "one: 4 points, 4 computed, wrote 3 files in out/sweeps",
+        "two: 3 points, 2 computed, wrote 3 files in out/sweeps",
+    ]
+    assert lines[-2:] == ["wrote out/page.html", "6 points in all"]
+    assert {"wrote out/tables/claims_synthetic.csv", "wrote out/tables/answer_synthetic.md"} < set(lines)
     assert (paper / "out/sweeps/one.csv").is_file()
     again = cli("report", "dataset=synthetic", "paths.results=out")
     assert [line.split(", ")[1] for line in again.out.splitlines()[:2]] == ["0 computed", "0 computed"]
@@ -73,9 +77,11 @@ def test_points_that_fail_are_told_and_the_rest_goes_on(paper, cli, monkeypatch)
 
 def test_data_that_cannot_be_had_are_looked_for_once(paper, cli, no_middlebury, monkeypatch):
     asked = []
-    monkeypatch.setattr(reproduce, "run_paper", lambda settings, **_: asked.append(list(settings)) or 0)
-    done = cli("report", "paths.results=out")
-    assert asked == [["paths.results=out", "dataset=synthetic"]]
+    plan = reproduce.plan_experiment
+    monkeypatch.setattr(reproduce, "plan_experiment", lambda *a, **k: asked.append(list(a[1])) or plan(*a, **k))
+    done = cli("report", "--dry-run", "paths.results=out")
+    assert asked == [["paths.results=out"], *[["paths.results=out", "dataset=synthetic"]] * 2]
+    assert done.out.startswith("6 points, 0 stored, 6 to compute")
     assert done.err.count("using the synthetic scenes in place of Middlebury") == 1
 
 
@@ -96,3 +102,38 @@ def test_mistakes_are_one_line(paper, cli, argv, message):
 def test_the_experiments_of_the_paper_are_all_there():
     assert [name for name in reproduce.PAPER if name not in reproduce.list_experiments()] == []
     assert reproduce.PAPER[:4] == ("table1", "table2", "fig1", "fig2") and len(reproduce.PAPER) == 12
+
+
+# -- the real thing --------------------------------------------------------------------------------
+
+STUDIES = (
+    "figures/protocol_study.png",
+    "figures/solver_study.pdf",
+    "tables/protocol_study.md",
+    "tables/solver_study.md",
+)
+FIGURES = [f"fig{number}{kind}" for number in (2, 3, 4) for kind in ("_reference", "_published", "_as_printed")]
+FIGURES += [f"fig{number}{kind}" for number in (6, 7) for kind in ("", "_context", "_protocols")]
+TABLES = ["fig2", "fig3", "fig4", "fig5", "fig6", "fig7", "fig6_band", "fig7_band"]
+
+
+@pytest.mark.slow
+def test_the_whole_paper_in_small_leaves_every_artefact(work, cli):
+    """On the rendered scenes, from nothing: all is drawn, nothing is claimed of Middlebury, nothing done twice."""
+    done = cli("report", "--small", "dataset=synthetic")
+    assert done.code == 0, done.err
+    expected = [f"figures/{name}.{suffix}" for name in FIGURES for suffix in ("png", "pdf")]
+    expected += [f"figures/{name}.csv" for name in TABLES]
+    expected += [f"private/{name}.{suffix}" for name in ("fig1", "fig5") for suffix in ("png", "pdf")]
+    expected += [f"tables/{name}" for name in ("table2.csv", "table2.md", "table2.tex", "claims.csv", "claims.md")]
+    expected += ["runs/report.html", "tables/answer.md", *STUDIES]
+    names = [name.replace(".", "_synthetic_small.") for name in expected]
+    assert [name for name in [*names, "tables/table1.csv"] if not (work / "results" / name).is_file()] == []
+    verdicts = pd.read_csv(work / "results/tables/claims_synthetic_small.csv")["verdict"]
+    assert set(verdicts) == {"cannot be judged"}
+    page = work / "results/runs/report_synthetic_small.html"
+    before = page.read_bytes()
+    assert b"Not computed yet" not in before
+    again = cli("report", "--small", "dataset=synthetic")
+    assert again.code == 0 and again.out.count(" 0 computed") == len(reproduce.PAPER)
+    assert page.read_bytes() == before

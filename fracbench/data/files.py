@@ -33,6 +33,8 @@ _KITTI_ZERO = 2**15
 _KITTI_STEP = 64.0
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _DEFLATE_MAX_RATIO = 1032  # no deflate stream expands by more
+# Those that a decoder reads by itself: Pillow hands PostScript, for one, to another program.
+_PICTURES = ("PNG", "JPEG", "PPM", "BMP", "TIFF", "GIF", "WEBP")
 
 Pathish = str | os.PathLike[str]
 
@@ -90,7 +92,7 @@ def _reason(exc: BaseException) -> str:
 
 
 def read_image(path: Pathish) -> NDArray[Any]:
-    """Read a picture in any format Pillow knows.
+    """Read a picture: PNG, JPEG, PPM/PGM, BMP, TIFF, GIF or WebP.
 
     Parameters
     ----------
@@ -116,12 +118,21 @@ def decode_image(data: bytes, where: str) -> NDArray[Any]:
 
     try:
         with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # on what is damaged: it is read, or it is not
             warnings.simplefilter("error", Image.DecompressionBombWarning)
-            with Image.open(io.BytesIO(data)) as image:
+            with Image.open(io.BytesIO(data), formats=_PICTURES) as image:
+                _require_plausible(image.size, len(data))
                 return _pixels(image)
     except Exception as exc:  # Pillow's decoders let nearly any exception through on damaged files
         why = "unknown format" if isinstance(exc, UnidentifiedImageError) else _reason(exc)
         raise InputError(f"{where}: not a picture that can be read ({why})") from exc
+
+
+def _require_plausible(size: tuple[int, int], n_bytes: int) -> None:
+    """Refuse a header that promises more than any picture of so many bytes holds, 8 pixels in a byte."""
+    width, height = size
+    if width * height > 8 * _DEFLATE_MAX_RATIO * n_bytes:
+        raise ValueError(f"{n_bytes} bytes cannot hold {width} x {height} pixels")
 
 
 def _pixels(image: Any) -> NDArray[Any]:

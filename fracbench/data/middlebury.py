@@ -174,6 +174,19 @@ def cache_folder() -> Path:
     return Path(pooch.os_cache("fracbench")) / "middlebury"
 
 
+def download_folder() -> Path:
+    """Return the folder that a download has to complete so that `find` leads to all the files.
+
+    That is FRACBENCH_DATA if it is set, else the folder that was found, however few files it holds, else the
+    user's cache.
+    """
+    given = os.environ.get("FRACBENCH_DATA")
+    if given:
+        return Path(os.path.expanduser(given))  # noqa: PTH111 - never raises
+    found = _look_up(None)
+    return found.folder if found else cache_folder()
+
+
 def _locate(folder: Path, source: str) -> Location:
     # Path.is_file raises where a folder may not be entered
     n_files = sum(os.path.isfile(folder / name) for name in REGISTRY)  # noqa: PTH113

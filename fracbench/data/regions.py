@@ -93,7 +93,7 @@ def crop(sequence: Sequence, region: Region, context: int = 0) -> Crop:
         raise InputError(f"region {region.name!r} belongs to {region.sequence!r}, not to {sequence.name!r}")
     if context < 0:
         raise InputError(f"`context` must not be negative, got {context}")
-    _require_inside(region, sequence.shape)
+    require_inside(region, sequence.shape)
     grown, inner = zip(
         *(
             _grow(bounds, context, size)
@@ -133,7 +133,7 @@ def shifted(region: Region, shape: tuple[int, int], step: int = 8, n: int = 5) -
     """
     if step < 1 or n < 1 or n % 2 == 0:
         raise InputError(f"`step` must be positive and `n` odd and positive, got {step} and {n}")
-    _require_inside(region, shape)
+    require_inside(region, shape)
     offsets = [step * k for k in range(-(n // 2), n // 2 + 1)]
     return [
         replace(
@@ -147,7 +147,8 @@ def shifted(region: Region, shape: tuple[int, int], step: int = 8, n: int = 5) -
     ]
 
 
-def _require_inside(region: Region, shape: tuple[int, int]) -> None:
+def require_inside(region: Region, shape: tuple[int, int]) -> None:
+    """Refuse a region that leaves a picture of (height, width) `shape`."""
     if region.rows[1] > shape[0] or region.cols[1] > shape[1]:
         raise InputError(
             f"region {region.name!r}: rows {region.rows[0]}:{region.rows[1]}, columns "

@@ -98,6 +98,37 @@ def list_sequences(dataset: str) -> tuple[str, ...]:
     return SCENES
 
 
+def shape_of(name: str, dataset: str) -> tuple[int, int]:
+    """Return height and width of a sequence, without loading it.
+
+    Parameters
+    ----------
+    name : str
+        The sequence, without regard to case.
+    dataset : {"middlebury", "synthetic"}
+        The data set.
+
+    Returns
+    -------
+    (int, int)
+        Pixels.
+
+    Raises
+    ------
+    InputError
+        If there is no such sequence or data set.
+    """
+    dataset = match_name(dataset, DATASETS, "dataset")
+    name = match_name(name, list_sequences(dataset), f"{dataset} sequence")
+    if dataset == "middlebury":
+        from fracbench.data.middlebury import SIZES
+
+        return SIZES[name]
+    from fracbench.data.synthetic import SHAPES
+
+    return SHAPES[name]
+
+
 def load_sequence(name: str, dataset: str, folder: Path | None = None) -> Sequence:
     """Load a sequence by name.
 

@@ -30,8 +30,8 @@ MIN_WAVELENGTH = 4.5
 MAX_WAVELENGTH = 64.0
 N_WAVES = 16
 
-_SHAPES = {"corner": (127, 161), "zoom": (129, 160)}
-_DEFAULT_SHAPE = (128, 160)
+#: Height and width of each scene, unless another is asked for.
+SHAPES = {**dict.fromkeys(SCENES, (128, 160)), "corner": (127, 161), "zoom": (129, 160)}
 _MIN_SIDE = 8
 _MID_GRAY = 127.5
 _GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
@@ -159,7 +159,7 @@ def _validated(
 ) -> tuple[str, tuple[int, int], float, int]:
     name = match_name(name, SCENES, "synthetic sequence")
     try:
-        height, width = (operator.index(n) for n in shape or _SHAPES.get(name, _DEFAULT_SHAPE))
+        height, width = (operator.index(n) for n in shape or SHAPES[name])
         seed, noise = operator.index(seed), float(noise)
     except (TypeError, ValueError) as exc:
         raise InputError(

@@ -9,20 +9,20 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-from fracbench.data.regions import Region
+from fracbench.data.regions import Region, require_inside
+from fracbench.data.sequence import shape_of
 from fracbench.errors import InputError, unknown_name
 from fracbench.harness.assets import asset
+from fracbench.harness.composed import remembered
+from fracbench.harness.schema import mapping, record, refuse_code, require_name
 from fracbench.methods.registry import Method, get_method
 from fracbench.model.params import FlowParams
-
-T = TypeVar("T")
 
 GROUPS = ("method", "sequence", "region", "protocol", "parallel")
 BACKENDS = ("loky", "dask")
@@ -212,50 +212,44 @@ def load_config(choices: Mapping[str, str]) -> RunConfig:
     for group, name in choices.items():
         if name not in (options := group_options(group)) and not (group == "region" and name == "none"):
             raise unknown_name(group, name, options)
-    return _typed(_compose(tuple(sorted(choices.items()))))
+    return _typed(_compose(tuple(sorted(choices.items()))), choices)
 
 
 @lru_cache(maxsize=256)
 def _compose(choices: tuple[tuple[str, str], ...]) -> dict[str, Any]:
-    from hydra import compose, initialize_config_dir
-    from hydra.errors import HydraException
-    from omegaconf import OmegaConf
-    from omegaconf.errors import OmegaConfBaseException
-    from yaml import YAMLError
-
     names = dict(choices)
-    region = names.pop("region", None)
+    region = names.pop("region", "none")
     sequence = names.pop("sequence", None)
     overrides = [f"{group}={name}" for group, name in names.items()]
-    if region not in (None, "none"):
+    if region != "none":
         overrides.append(f"region={region}")  # the region's file chooses its sequence
     elif sequence is not None:
         overrides.append(f"sequence={sequence}")
     folder = asset("conf").resolve()
+    return mapping(remembered(folder, choices, lambda: _by_hydra(folder, overrides)), f"configuration {folder}")
+
+
+def _by_hydra(folder: Path, overrides: list[str]) -> Any:
+    from hydra import compose, initialize_config_dir
+    from omegaconf import OmegaConf
+
+    refuse_code(folder)
     try:
-        with warnings.catch_warnings(), initialize_config_dir(str(folder), version_base="1.3"):
-            warnings.simplefilter("ignore")
+        with initialize_config_dir(str(folder), version_base="1.3"):
             composed = compose("config", overrides=overrides)
-        raw: dict[str, Any] = OmegaConf.to_container(composed, resolve=True)  # type: ignore[assignment]
-    except (HydraException, OmegaConfBaseException, YAMLError) as exc:
+        return OmegaConf.to_container(composed, resolve=True)
+    except Exception as exc:  # Hydra lets nearly any exception through on a file it does not expect
         raise InputError(f"configuration {folder}: {' '.join(str(exc).split())}") from exc
-    if region not in (None, "none") and sequence not in (None, raw["region"]["sequence"]):
-        raise InputError(f"region={region} belongs to sequence={raw['region']['sequence']}, not to {sequence}")
-    raw["sequence"]["key"] = raw["region"]["sequence"] if raw["region"] else (sequence or _default("sequence"))
-    return raw
 
 
-def _default(group: str) -> str:
+def _default_sequence() -> str:
     from omegaconf import OmegaConf
 
     defaults: Any = OmegaConf.load(asset("conf/config.yaml"))
-    for entry in defaults["defaults"]:
-        if not isinstance(entry, str) and group in entry:
-            return str(entry[group])
-    raise InputError(f"conf/config.yaml: no default for the group {group!r}")
+    return next(str(entry["sequence"]) for entry in defaults["defaults"] if "sequence" in entry)
 
 
-_TOP_LEVEL = {
+_TOP_LEVEL = (
     "method",
     "protocol",
     "sequence",
@@ -266,40 +260,64 @@ _TOP_LEVEL = {
     "shift",
     "paths",
     "params",
-}
+)
 
 
-def _typed(raw: Mapping[str, Any]) -> RunConfig:
-    where = "configuration"
-    for key in raw:
-        if key not in _TOP_LEVEL:
-            raise unknown_name("key", str(key), _TOP_LEVEL, where)
-    for key in raw["paths"]:
-        if key not in ("data", "results"):
-            raise unknown_name("key", str(key), ("data", "results"), f"{where}, paths")
-    method = get_method(raw["method"])
-    params = FlowParams().replace(method.defaults).replace(raw["params"], f"{where}, params")
+def _typed(raw: Mapping[str, Any], choices: Mapping[str, str]) -> RunConfig:
+    chosen = ", ".join(f"{group}={name}" for group, name in choices.items())
+    where = f"configuration ({chosen})" if chosen else "configuration"
+    raw = mapping(raw, where, _TOP_LEVEL)
+    for key in _TOP_LEVEL:
+        if key not in raw:
+            raise InputError(f"{where}: `{key}` is missing; conf/config.yaml or a file of a group sets it")
+    paths = record(_Paths, raw["paths"], f"{where}, paths")
+    method = get_method(require_name(raw["method"], "`method`", where))
+    params = FlowParams().replace(method.defaults)
+    region = None if raw["region"] is None else record(Region, raw["region"], f"{where}, region")
     return RunConfig(
         method=method,
-        protocol=str(raw["protocol"]),
-        sequence=_record(SequenceConfig, raw["sequence"], f"{where}, sequence"),
-        region=None if raw["region"] is None else _record(Region, raw["region"], f"{where}, region"),
-        params=params,
-        parallel=_record(ParallelConfig, raw["parallel"], f"{where}, parallel"),
-        dataset=raw["dataset"],
+        protocol=require_name(raw["protocol"], "`protocol`", where),
+        sequence=_sequence(raw["sequence"], region, choices, where),
+        region=region,
+        params=params.replace(mapping(raw["params"], f"{where}, params"), f"{where}, params"),
+        parallel=record(ParallelConfig, raw["parallel"], f"{where}, parallel"),
+        dataset=require_name(raw["dataset"], "`dataset`", where),
         context=_whole("context", raw["context"]),
         shift=None if raw["shift"] is None else _whole("shift", raw["shift"]),
-        data=raw["paths"]["data"],
-        results=Path(raw["paths"]["results"]),
+        data=paths.data,
+        results=Path(paths.results),
     )
 
 
-def _record(kind: type[T], raw: Mapping[str, Any], where: str) -> T:
-    fields = {f.name for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
-    for key in raw:
-        if key not in fields:
-            raise unknown_name("key", str(key), fields, where)
-    try:
-        return kind(**raw)
-    except TypeError as exc:
-        raise InputError(f"{where}: {exc}") from exc
+@dataclass(frozen=True)
+class _Paths:
+    results: str
+    data: str | None = None
+
+    def __post_init__(self) -> None:
+        for name, path in vars(self).items():
+            if path is not None and (not path or not path.isprintable()):
+                raise InputError(f"paths.{name} must name a folder, got {path!r}")
+
+
+def _sequence(raw: Any, region: Region | None, choices: Mapping[str, str], where: str) -> SequenceConfig:
+    """Return the sequence, and make sure that the region is one of it and lies inside its picture."""
+    key = region.sequence if region else choices.get("sequence") or _default_sequence()
+    sequence = record(SequenceConfig, {"key": key, **mapping(raw, f"{where}, sequence")}, f"{where}, sequence")
+    for what, name in vars(sequence).items():
+        if name is not None:
+            require_name(name, f"`{what}`", f"{where}, sequence")
+    shape = shape_of(sequence.name, sequence.dataset)
+    if sequence.stand_in is not None:
+        shape_of(sequence.stand_in, "synthetic")
+    if region is None:
+        return sequence
+    require_name(region.name, "`name`", f"{where}, region")
+    if "sequence" in choices and choices["sequence"] != key:
+        raise InputError(f"region={choices['region']} belongs to sequence={key}, not to {choices['sequence']}")
+    if key not in (options := group_options("sequence")):
+        raise unknown_name("sequence", key, options, f"{where}, region")
+    if _compose((("sequence", key),))["sequence"] != raw:
+        raise InputError(f"{where}: the region is of {key!r}, but its defaults choose {sequence.name!r}")
+    require_inside(region, shape)
+    return sequence

@@ -9,8 +9,9 @@ from typing import Any
 
 from fracbench.errors import InputError, unknown_name
 from fracbench.harness.assets import asset
+from fracbench.harness.schema import mapping, require_name
 
-_KEYS = {"title", "artefact", "grid", "grids", "options"}
+_KEYS = ("title", "artefact", "grid", "grids", "options")
 #: Name of the only grid of an experiment that has one.
 MAIN = "main"
 
@@ -68,26 +69,31 @@ def load_experiment(name: str) -> Experiment:
 
     if name not in (known := list_experiments()):
         raise unknown_name("experiment", name, known)
+    require_name(name, "an experiment", "experiments")
     own = Path("experiments") / f"{name}.yaml"
     path = own if own.is_file() else asset(f"experiments/{name}.yaml")
     try:
-        raw = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as exc:
+        text = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError) as exc:
         raise InputError(f"{path}: cannot be read as YAML: {' '.join(str(exc).split())}") from exc
-    if not isinstance(raw, dict):
-        raise InputError(f"{path}: must be a mapping with the keys {', '.join(sorted(_KEYS))}")
-    for key in raw:
-        if key not in _KEYS:
-            raise unknown_name("key", str(key), _KEYS, str(path))
+    raw = mapping(text, str(path), _KEYS)
     if ("grid" in raw) == ("grids" in raw):
         raise InputError(f"{path}: one of `grid` (overrides) and `grids` (overrides by name) is needed")
     grids, options = raw.get("grids", {MAIN: raw.get("grid")}), raw.get("options") or {}
     if not isinstance(grids, dict) or not all(map(_is_grid, grids.values())):
         raise InputError(f"{path}: a grid must be a list of overrides such as 'alpha=0:2:0.1'")
-    if not isinstance(options, dict):
-        raise InputError(f"{path}: `options` must be a mapping")
+    for token in (token for tokens in grids.values() for token in tokens):
+        if token.startswith(("paths.", "parallel")):
+            raise InputError(f"{path}: {token!r}: where and how points are run is said on the command line")
+    for key in ("title", "artefact"):
+        if not isinstance(raw.get(key, ""), str):
+            raise InputError(f"{path}: `{key}` must be a text")
     return Experiment(
-        name, str(raw.get("title", name)), str(raw.get("artefact", "sweep")), _tuples(grids), options
+        name,
+        raw.get("title", name),
+        raw.get("artefact", "sweep"),
+        _tuples(grids),
+        mapping(options, f"{path}: `options`"),
     )
 
 

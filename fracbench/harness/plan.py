@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from fracbench.data.regions import Region, shifted
-from fracbench.data.sequence import list_sequences
+from fracbench.data.sequence import list_sequences, shape_of
 from fracbench.errors import InputError, unknown_name
 from fracbench.harness.config import GROUPS, PARALLEL, RunConfig, group_options, known_keys, load_config
 from fracbench.harness.grid import MAX_POINTS, Axis, Grid, canonical_number, expand_names, parse_overrides
@@ -339,18 +339,8 @@ def _box(
     if region is None:
         return None
     if shift is not None:
-        region = shifted(region, _shape(sequence, dataset))[shift]
+        region = shifted(region, shape_of(sequence, dataset))[shift]
     return (*region.rows, *region.cols)
-
-
-def _shape(sequence: str, dataset: str) -> tuple[int, int]:
-    if dataset == "middlebury":
-        from fracbench.data.middlebury import SIZES
-
-        return SIZES[sequence]
-    from fracbench.data import synthetic
-
-    return synthetic.scene(sequence).shape
 
 
 @lru_cache(maxsize=64)

@@ -10,9 +10,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from fracbench import __version__
 from fracbench.harness.assets import checkout
 
-_PACKAGES = ("fracbench", "numpy", "scipy", "numba")
+_PACKAGES = ("numpy", "scipy", "numba")
+_PEERS = ("opencv-contrib-python-headless", "opencv-python", "scikit-image")
 
 
 @lru_cache(maxsize=1)
@@ -34,13 +36,14 @@ def machine() -> dict[str, Any]:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of this package and of those its numbers depend on."""
-    found = {}
-    for name in _PACKAGES:
+    """Return the versions of this package, of those its numbers depend on, and of the peers that are there."""
+    found = {"fracbench": __version__}
+    for name in (*_PACKAGES, *_PEERS):
         try:
             found[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
-            found[name] = "not installed"
+            if name in _PACKAGES:
+                found[name] = "not installed"
     return found
 
 
@@ -57,13 +60,20 @@ def commit() -> dict[str, Any]:
     if root is None:
         return {"commit": None, "dirty": None}
     try:
-        revision = _git(root, "rev-parse", "HEAD")
-        return {"commit": revision, "dirty": bool(_git(root, "status", "--porcelain", "--untracked-files=no"))}
+        revision = git(root, "rev-parse", "HEAD")
+        return {"commit": revision, "dirty": bool(git(root, "status", "--porcelain", "--untracked-files=no"))}
     except (OSError, subprocess.SubprocessError):
         return {"commit": None, "dirty": None}
 
 
-def _git(root: Path, *arguments: str) -> str:
+def git(root: Path, *arguments: str) -> str:
+    """Return what a git command prints in a checkout.
+
+    Raises
+    ------
+    OSError, subprocess.SubprocessError
+        There is no git, the command fails, or it takes longer than 10 s.
+    """
     done = subprocess.run(["git", *arguments], cwd=root, capture_output=True, text=True, check=True, timeout=10)
     return done.stdout.strip()
 

@@ -6,8 +6,7 @@ import datetime
 import json
 import math
 import tempfile
-import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,37 +17,16 @@ from fracbench.harness.assets import asset, checkout
 from fracbench.harness.experiment import Experiment, load_experiment
 from fracbench.harness.plan import Plan, plan_experiment
 from fracbench.harness.store import Row, Store
+from fracbench.harness.tolerances import MEASURED, Tolerance, Tolerances, load_tolerances
 from fracbench.model import SOLVER_VERSION
 
 if TYPE_CHECKING:
     import pandas as pd
 
-#: Columns compared within a tolerance, and those that must be equal.
-MEASURED = ("aae", "aepe", "sdae")
+#: Columns that must be equal; those of `MEASURED` may differ within a tolerance.
 COUNTED = ("n_pixels", "n_unknown", "n_nonfinite", "status")
 
 Tabulate = Callable[[Plan, Mapping[str, Row]], "pd.DataFrame"]
-
-
-@dataclass(frozen=True)
-class Tolerance:
-    """How far a cell may move, on what basis, and why that is no change."""
-
-    absolute: float
-    relative: float
-    basis: str
-    reason: str
-
-    def __post_init__(self) -> None:
-        for bound in (self.absolute, self.relative):
-            if not (math.isfinite(bound) and bound >= 0):
-                raise ValueError(f"a tolerance must be finite and at least 0, got {bound}")
-        if not (self.basis.strip() and self.reason.strip()):
-            raise ValueError("a tolerance needs its basis and its reason")
-
-    def allows(self, stored: float, found: float) -> bool:
-        """Tell whether `found` may stand for `stored`; what is not finite never may."""
-        return math.isfinite(stored) and abs(found - stored) <= self.absolute + self.relative * abs(stored)
 
 
 @dataclass(frozen=True)
@@ -88,8 +66,9 @@ class Verdict:
 
 
 def stored_tables() -> list[str]:
-    """Return the names of the stored tables."""
-    return sorted(path.stem for path in asset("results/reference").glob("*.csv"))
+    """Return the names of the stored tables; one of which only the record is left is among them."""
+    folder = asset("results/reference")
+    return sorted({path.stem for pattern in ("*.csv", "*.json") for path in folder.glob(pattern)})
 
 
 def check(name: str, *, jobs: int, tabulate: Tabulate, on_row: Callable[[Row], None] | None = None) -> Verdict:
@@ -118,15 +97,20 @@ def check(name: str, *, jobs: int, tabulate: Tabulate, on_row: Callable[[Row], N
     """
     if name not in stored_tables():
         raise unknown_name("stored table", name, stored_tables())
+    path, tolerances = asset("results/reference") / f"{name}.csv", load_tolerances()
+    if not path.is_file():
+        gone = Difference("all rows", "table", "missing", "present", "the same tables")
+        return Verdict(name, differences=[gone])
     plan = plan_of(name)
     if plan is None:
         return Verdict(name, skipped="the Middlebury data cannot be had here")
-    stored, tolerances = _read(asset(f"results/reference/{name}.csv")), load_tolerances()
+    stored = read_table(path)
     found = reference_table(plan, recompute(plan, jobs, on_row), tabulate)
     return compare(name, stored, found, tolerances)
 
 
-def _read(path: Path) -> pd.DataFrame:
+def read_table(path: Path) -> pd.DataFrame:
+    """Read a stored table, every cell as text."""
     import pandas as pd
 
     try:
@@ -174,7 +158,7 @@ def _key_columns(plan: Plan, table: pd.DataFrame) -> list[str]:
     return labels + [key for key in swept if key in table.columns and key not in labels]
 
 
-def compare(name: str, stored: pd.DataFrame, found: pd.DataFrame, tolerances: Mapping[str, Tolerance]) -> Verdict:
+def compare(name: str, stored: pd.DataFrame, found: pd.DataFrame, tolerances: Tolerances) -> Verdict:
     """Compare two reference tables cell by cell.
 
     Parameters
@@ -183,8 +167,8 @@ def compare(name: str, stored: pd.DataFrame, found: pd.DataFrame, tolerances: Ma
         For the verdict.
     stored, found : pandas.DataFrame
         Text, as `reference_table` gives and ``read_csv(dtype=str)`` reads.
-    tolerances : mapping of str to Tolerance
-        By column.
+    tolerances : Tolerances
+        By column; single cells may have their own.
 
     Returns
     -------
@@ -195,37 +179,41 @@ def compare(name: str, stored: pd.DataFrame, found: pd.DataFrame, tolerances: Ma
     for column in stored.columns.symmetric_difference(found.columns):
         side = ("present", "missing") if column in stored.columns else ("missing", "present")
         verdict.differences.append(Difference("all rows", str(column), *side, "the same columns"))
-    values = [*MEASURED, *COUNTED]
-    keys = [column for column in stored.columns if column not in values and column in found.columns]
-    old, new = (_by_key(table, keys) for table in (stored, found))
+    keys = [column for column in key_columns(stored) if column in found.columns]
+    old, new = by_label(stored, keys), by_label(found, keys)
     if len(old) != len(stored) or len(new) != len(found):
         verdict.differences.append(Difference("all rows", "keys", len(stored), len(found), "distinct rows"))
     for row in dict.fromkeys([*old, *new]):
-        label = ", ".join(part for part in row if part)
         if row not in old or row not in new:
             side = ("present", "missing") if row in old else ("missing", "present")
-            verdict.differences.append(Difference(label, "row", *side, "the same rows"))
+            verdict.differences.append(Difference(row, "row", *side, "the same rows"))
             continue
-        for column in values:
+        for column in (*MEASURED, *COUNTED):
             verdict.cells += 1
-            verdict.differences += _cell(label, column, old[row].get(column), new[row].get(column), tolerances)
+            allowed = tolerances.of(name, row, column) if column in MEASURED else None
+            verdict.differences += _cell(row, column, old[row].get(column), new[row].get(column), allowed)
     return verdict
 
 
-def _by_key(table: pd.DataFrame, keys: list[str]) -> dict[tuple[str, ...], dict[str, str]]:
-    return {tuple(record[key] for key in keys): record for record in table.to_dict("records")}
+def key_columns(table: pd.DataFrame) -> list[str]:
+    """Return the columns of a reference table that name its rows: labels and swept keys."""
+    return [column for column in table.columns if column not in (*MEASURED, *COUNTED)]
+
+
+def by_label(table: pd.DataFrame, keys: Sequence[str]) -> dict[str, dict[str, str]]:
+    """Return the rows of a reference table by what they are called, the values of `keys` that are not empty."""
+    records = table.to_dict("records")
+    return {", ".join(record[key] for key in keys if record[key]): record for record in records}
 
 
 def _cell(
-    label: str, column: str, stored: str | None, found: str | None, tolerances: Mapping[str, Tolerance]
+    label: str, column: str, stored: str | None, found: str | None, tolerance: Tolerance | None
 ) -> list[Difference]:
-    if column in COUNTED or stored is None or found is None:
+    if tolerance is None or stored is None or found is None:
         same = stored == found and stored is not None
         return [] if same else [Difference(label, column, stored, found, "equal")]
-    tolerance = tolerances[column]
-    allowed = f"{tolerance.absolute:g} + {tolerance.relative:g} of the stored"
-    old, new = _number(stored), _number(found)
-    return [] if tolerance.allows(old, new) else [Difference(label, column, stored, found, allowed)]
+    holds = tolerance.allows(_number(stored), _number(found))
+    return [] if holds else [Difference(label, column, stored, found, str(tolerance))]
 
 
 def _number(text: str) -> float:
@@ -233,30 +221,6 @@ def _number(text: str) -> float:
         return float(text)
     except ValueError:
         return math.nan
-
-
-def load_tolerances() -> dict[str, Tolerance]:
-    """Read ``results/reference/tolerances.toml``.
-
-    Returns
-    -------
-    dict of str to Tolerance
-        One for each measured column.
-
-    Raises
-    ------
-    InputError
-        Not TOML, a column without tolerance, or a tolerance without basis and reason.
-    """
-    path = asset("results/reference/tolerances.toml")
-    try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
-        tolerances = {column: Tolerance(**raw[column]) for column in MEASURED}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as exc:
-        raise InputError(
-            f"{path}: each of {', '.join(MEASURED)} needs absolute, relative, basis, reason: {exc}"
-        ) from exc
-    return tolerances
 
 
 def update(
@@ -287,8 +251,7 @@ def update(
 
     if not reason.strip():
         raise InputError('check --update needs --reason "why the stored numbers change"')
-    if checkout() is None:
-        raise InputError("check --update: there is no checkout to write to; stored tables are part of one")
+    require_checkout()
     plan = plan_of(name)
     if plan is None:
         raise InputError(f"{name}: the Middlebury data cannot be had here")
@@ -312,6 +275,12 @@ def update(
     return list(contents)
 
 
+def require_checkout() -> None:
+    """Refuse to rewrite what is stored where the package is installed."""
+    if checkout() is None:
+        raise InputError("check --update: there is no checkout to write to; stored tables are part of one")
+
+
 def _entries(history: Path) -> list[Any]:
     try:
         entries: list[Any] = json.loads(history.read_text(encoding="utf-8")) if history.is_file() else []
@@ -321,11 +290,13 @@ def _entries(history: Path) -> list[Any]:
 
 
 def _entry(reason: str, row: Row) -> dict[str, Any]:
-    origin = {key: row.provenance.get(key) for key in ("cpu", "python", "versions", "threads")}
-    return {
-        "reason": reason,
-        "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
-        "solver_version": SOLVER_VERSION,
-        **origin,
-        **provenance.commit(),
-    }
+    """Record why a table was stored, and with what the workers computed it."""
+    computed = {key: row.provenance.get(key) for key in ("cpu", "python", "versions", "threads")}
+    return {"reason": reason, **origin(), **computed}
+
+
+def origin() -> dict[str, Any]:
+    """Return what a stored file owes its numbers to: date, numerics, machine, versions, commit."""
+    machine = {key: provenance.machine()[key] for key in ("cpu", "python", "versions")}
+    date = datetime.datetime.now(datetime.UTC).date().isoformat()
+    return {"date": date, "solver_version": SOLVER_VERSION, **machine, **provenance.commit()}

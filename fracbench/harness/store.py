@@ -383,6 +383,8 @@ def _is_blank(db: sqlite3.Connection, path: Path) -> bool:
         age, remedy = ("newer", "upgrade it") if version > SCHEMA_VERSION else ("older", "move the file away")
         schemas = f"schema {version}, this one has {SCHEMA_VERSION}"
         raise InputError(f"store {path}: written by a fracbench {age} than this ({schemas}); {remedy}")
+    if not {*_COLUMNS} <= {name for _, name, *_ in db.execute("PRAGMA table_info(points)")}:
+        raise InputError(f"store {path}: {_REMEDIES[sqlite3.SQLITE_CORRUPT]} (columns are missing)")
     return False
 
 

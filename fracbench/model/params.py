@@ -90,13 +90,17 @@ class FlowParams:
     )
     presmoothing: float = _param(
         0.6, "standard deviation of the Gaussian on both frames, pixels", symbol=r"\sigma_0",
-        paper_range="0.6", low=0.0,
+        paper_range="0.6", low=0.0, high=100.0,
     )  # fmt: skip
     boundary: Literal["zero", "reflect"] = _param(
         "reflect", "what u is outside the image", paper_range="zero (Dirichlet)"
     )
     pad: int = _param(
-        0, "padding of boundary=zero, pixels", paper_range="'padding around the image', not given", low=0
+        0,
+        "padding of boundary=zero, pixels",
+        paper_range="'padding around the image', not given",
+        low=0,
+        high=1000,
     )
     u_solver: Literal["exact", "gauss_seidel", "jacobi"] = _param(
         "exact", "solver of the u-step", paper_range="fixed-point sweep"
@@ -125,7 +129,7 @@ class FlowParams:
     tau: float = _param(0.25, "time step of the dual method", low=0.0, high=0.25, open_low=True)
     upsample_gain: float | None = _param(
         None, "factor on the flow carried to the next scale; none: the ratio of the sizes",
-        paper_range="1/eta, sampled at x/eta", low=0.0,
+        paper_range="1/eta, sampled at x/eta", low=0.0, high=10.0,
     )  # fmt: skip
     relinearise: bool = _param(
         True, "renew u0 = u at each warp; false: u0 = 0 throughout, as printed", paper_range="not stated"

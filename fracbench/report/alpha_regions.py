@@ -13,7 +13,7 @@ All but ``main`` may be left out. ``options.paper`` holds what the captions say:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +24,7 @@ from fracbench.harness.store import Row
 from fracbench.report import tables
 from fracbench.report.base import Artefact, best_values, file_stem
 from fracbench.report.panels import Curve, Panel, panel_grid
-from fracbench.report.style import BEHIND, METRICS, PALETTE, equation, save_figure, symbol
+from fracbench.report.style import BEHIND, METRICS, PALETTE, equation, symbol
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -33,6 +33,11 @@ if TYPE_CHECKING:
 X = "alpha"
 SB = "lambda_sb"
 BAND, CONTEXT, PROTOCOLS = "band", "context", "protocols"
+_HEADINGS = {
+    "": "the region alone, boundary zero",
+    CONTEXT: "with context, boundary reflect",
+    PROTOCOLS: "under each protocol, the region alone, boundary zero",
+}
 _COLUMNS = [
     "part", "protocol", "region", "sequence", "boundary", "context", "shift", SB, X, "aae", "aepe", "status",
 ]  # fmt: skip
@@ -44,20 +49,49 @@ _OTHER = {"color": BEHIND, "linewidth": 0.8, "zorder": 1.5}
 
 def alpha_regions(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
     """Draw Figure 6 or 7 as the paper has it; beside it with context, and under the other protocols."""
+    from fracbench.report.drawing import draw
+
     table = tables.tidy(plan, rows).reindex(columns=_COLUMNS)
     if MAIN not in set(table["part"]):
         raise InputError(f"experiment {experiment.name}: artefact {experiment.artefact} needs the grid {MAIN!r}")
     story = _Regions(table, _captions(experiment))
-    figures = story.figures(experiment.name, experiment.title)
     folder = tables.ensure_folder(results / "figures")
     artefact = Artefact(views=story.views())
-    for name, figure in figures.items():
-        artefact.files += save_figure(figure, file_stem(name, plan, folder))
+    for kind in story.kinds():
+        stem = file_stem(f"{experiment.name}{f'_{kind}' if kind else ''}", plan, folder)
+        artefact.files += draw(stem, regions_figure, table, story.captions, kind, experiment.title)
     artefact.files.append(tables.write_table(table, file_stem(experiment.name, plan, folder)))
     if story.has(BAND):
         stem = file_stem(f"{experiment.name}_{BAND}", plan, folder)
         artefact.files.append(tables.write_table(story.band(), stem))
     return artefact
+
+
+def regions_figure(
+    table: pd.DataFrame, captions: Mapping[str, Mapping[str, float]], kind: str, title: str
+) -> Figure:
+    """Draw one figure of the regions.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        Tidy rows of all parts.
+    captions : mapping
+        What the paper's captions say: ``lambda_sb``, ``aae``, ``aepe`` by region.
+    kind : str
+        ``""`` for the paper's, ``"context"`` or ``"protocols"``.
+    title : str
+        Heading.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        See `fracbench.report.panels.panel_grid`.
+    """
+    story = _Regions(table, captions)
+    compose = {"": story.main_panel, CONTEXT: story.context_panel, PROTOCOLS: story.protocols_panel}[kind]
+    note = f"{equation(X, 0)}: the operator is the identity there" if kind == CONTEXT else ""
+    return panel_grid(story.regions, compose, x=X, title=f"{title}\n{_HEADINGS[kind]}", note=note)
 
 
 def _captions(experiment: Experiment) -> dict[str, dict[str, float]]:
@@ -86,20 +120,9 @@ class _Regions:
     def part(self, part: str, region: str) -> pd.DataFrame:
         return self.table[(self.table["part"] == part) & (self.table["region"] == region)]
 
-    def figures(self, name: str, title: str) -> dict[str, Figure]:
-        """Return every figure by the name of its file."""
-        drawn = {name: self._figure(self.main_panel, f"{title}\nthe region alone, boundary zero")}
-        if self.has(CONTEXT):
-            note = f"{equation(X, 0)}: the operator is the identity there"
-            heading = f"{title}\nwith context, boundary reflect"
-            drawn[f"{name}_{CONTEXT}"] = self._figure(self.context_panel, heading, note)
-        if self.has(PROTOCOLS):
-            heading = f"{title}\nunder each protocol, the region alone, boundary zero"
-            drawn[f"{name}_{PROTOCOLS}"] = self._figure(self.protocols_panel, heading)
-        return drawn
-
-    def _figure(self, compose: Callable[[str, str], Panel], title: str, note: str = "") -> Figure:
-        return panel_grid(self.regions, compose, x=X, title=title, note=note)
+    def kinds(self) -> list[str]:
+        """Return what can be drawn: see `regions_figure`."""
+        return ["", *(part for part in (CONTEXT, PROTOCOLS) if self.has(part))]
 
     def band(self) -> pd.DataFrame:
         """Return the smallest and largest errors over the shifted boxes, for each region and alpha."""

@@ -17,6 +17,7 @@ from fracbench.report import paper, tables
 from fracbench.report.alpha_regions import alpha_regions
 from fracbench.report.base import Artefact, Renderer, best_values, file_stem
 from fracbench.report.convergence import convergence
+from fracbench.report.options import require_options
 from fracbench.report.protocol_study import protocol_study
 from fracbench.report.solver_study import solver_study
 
@@ -57,10 +58,11 @@ def require_renderer(experiment: Experiment) -> Renderer:
     Raises
     ------
     InputError
-        There is none of that name.
+        There is none of that name, or its options are not as it needs them.
     """
     if experiment.artefact not in RENDERERS:
         raise unknown_name("artefact", experiment.artefact, RENDERERS, f"experiment {experiment.name}")
+    require_options(experiment)
     return RENDERERS[experiment.artefact]
 
 

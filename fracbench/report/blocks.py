@@ -301,7 +301,7 @@ def embedded(image: Any, *, width: int = 0, lossy: bool = False) -> tuple[str, t
     width : int, optional
         Larger ones are scaled down to it; 0 for never.
     lossy : bool, optional
-        JPEG, for photographs; PNG otherwise.
+        JPEG with full colour, for frames and maps; PNG otherwise.
 
     Returns
     -------
@@ -318,7 +318,7 @@ def embedded(image: Any, *, width: int = 0, lossy: bool = False) -> tuple[str, t
         picture = picture.resize((width, height), Image.Resampling.BOX)
     buffer = io.BytesIO()
     if lossy:
-        picture.save(buffer, "JPEG", quality=82, optimize=True)
+        picture.save(buffer, "JPEG", quality=85, subsampling=0)
     else:
         picture.save(buffer, "PNG")
     media = "image/jpeg" if lossy else "image/png"

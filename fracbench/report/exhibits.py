@@ -19,15 +19,7 @@ from fracbench.report.blocks import (
     embedded_file,
 )
 from fracbench.report.gallery import gallery, scenes, shared_scale
-from fracbench.report.judging import CONTEXT
-from fracbench.report.sources import SUFFIXES, Source, Sources
-
-PROTOCOLS = {
-    "reference": "the paper's model, computed correctly and to convergence",
-    "published": "the run nearest to the printed Table 2: coarse flow halved on upsampling, few iterations",
-    "as_printed": "Algorithms 1 and 2 to the letter: the flow to linearise about is never renewed",
-    CONTEXT: "the model with reflecting boundary and 48 pixels of image around each region: not the paper's",
-}
+from fracbench.report.sources import PROTOCOLS, SUFFIXES, Source, Sources
 
 
 def document(path: str, summary: str) -> list[Block]:
@@ -37,6 +29,23 @@ def document(path: str, summary: str) -> list[Block]:
     except InputError:
         return []
     return [Details(summary, [Text(demoted(text, 2))])]
+
+
+def answer_picture(sources: Sources) -> list[Block]:
+    """Return the picture that sums the paper and ours up, if it has been drawn."""
+    path = sources.results / "figures" / f"answer{sources.suffix}.png"
+    if not path.is_file():
+        return []
+    uri, size = embedded_file(path)
+    alt = (
+        "marks for the paper and for our runs: on the left the best alpha of each of the six regions, on the "
+        "right the end-point error of TV-L1-SB on each of the eight sequences"
+    )
+    caption = (
+        "The paper's numbers (black) beside ours. Left: the order with the smallest AEPE on each region. Right: "
+        f"Table 2. File `figures/{path.name}`, also as PDF and CSV."
+    )
+    return [Picture(uri, alt, caption, size)]
 
 
 # -- figures -------------------------------------------------------------------------------------

@@ -26,6 +26,7 @@ from fracbench.report.style import (
     legend_below,
     method_lines,
     new_figure,
+    plain_ticks,
     symbol,
     two_panels,
     write_below,
@@ -135,6 +136,7 @@ def line_family(
     markers: Sequence[str] = MARKERS,
     styles: Sequence[str] = (),
     logx: bool = False,
+    logy: bool = False,
     shade: tuple[float, float] | None = None,
 ) -> Figure:
     """Draw both errors against one key, a line for each value of another and each method (figures 2-4).
@@ -155,8 +157,8 @@ def line_family(
         matplotlib's markers in the order of the family's values; those of the captions by default.
     styles : sequence of str, optional
         For a single method, line and marker in the order of the family's values, e.g. ``"--*"`` or ``"-."``.
-    logx : bool, optional
-        Logarithmic axis.
+    logx, logy : bool, optional
+        Logarithmic axes.
     shade : (float, float), optional
         Range of `x` where the paper finds the errors smallest.
 
@@ -180,6 +182,9 @@ def line_family(
         fig, axes = two_panels(title)
         for ax, metric in zip(axes, METRICS, strict=True):
             _start_axes(ax, x, metric, logx)
+            if logy:
+                ax.set_yscale("log")
+                plain_ticks(ax.yaxis)
         handles: list[Any] = []
         for i, value in enumerate(_values(table[family])):
             line, marker = captions[i % len(captions)]
@@ -277,7 +282,7 @@ def split_curves(table: pd.DataFrame, x: str, hue: str | None, logx: bool) -> di
 def _start_axes(ax: Axes, x: str, metric: str, logx: bool) -> None:
     ax.set(xlabel=axis_label(x), ylabel=METRICS[metric], xscale="log" if logx else "linear")
     if logx:
-        ax.xaxis.set_major_formatter("{x:g}")
+        plain_ticks(ax.xaxis, (1.0,))
     ax.margins(x=0.04, y=0.1)
 
 

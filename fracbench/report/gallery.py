@@ -104,7 +104,7 @@ def _computed(points: Sequence[Point], folder: Path | None, cache: Path, jobs: i
     from fracbench import console
     from fracbench.report.tables import ensure_folder
 
-    ensure_folder(cache)
+    cache = ensure_folder(cache).resolve()  # a worker may have been started in another folder
     todo = {path: point for point in points if not (path := flow_file(point, cache)).is_file()}
     with console.progress(len(todo), "flows") as advance, parallel_config("loky", inner_max_num_threads=1):
         pool = Parallel(min(jobs, max(len(todo), 1)), return_as="generator_unordered", batch_size=1)
@@ -175,7 +175,7 @@ def gallery(scene: Scene, top: float) -> Gallery:
     rim = _HEADROOM * fastest(scene.truth) or 1.0
     name = scene.name
     shown = [
-        _picture(_gray(frame), f"{name}: {word} frame, gray", f"{word} frame", lossy=True)
+        _picture(_gray(frame), f"{name}: {word} frame, gray", f"{word} frame")
         for word, frame in zip(("first", "second"), scene.frames, strict=True)
     ]
     shown.append(
@@ -244,6 +244,6 @@ def _gray(frame: NDArray[np.float64]) -> NDArray[np.uint8]:
     return np.clip(np.rint(frame), 0, 255).astype(np.uint8)
 
 
-def _picture(image: NDArray[np.uint8], alt: str, caption: str, *, lossy: bool = False) -> Picture:
-    uri, size = embedded(image, width=_WIDTH, lossy=lossy)
+def _picture(image: NDArray[np.uint8], alt: str, caption: str) -> Picture:
+    uri, size = embedded(image, width=_WIDTH, lossy=True)
     return Picture(uri, alt, caption, size)

@@ -21,19 +21,16 @@ _LEAD = (
 )
 
 
-def write_report(results: Path, settings: Sequence[str] = (), small: bool = False) -> Path:
+def write_report(sources: Sources) -> Path:
     """Write the report from what the store holds; what is missing there is named, with its command.
 
     The page shows Middlebury's frames, so it goes below ``runs``, which is never committed.
 
     Parameters
     ----------
-    results : Path
-        The results folder: its store and its figures are read, flows for pictures are kept in it.
-    settings : sequence of str, optional
-        Overrides for all experiments: data set, paths.
-    small : bool, optional
-        The small form: thinned grids, two sequences in pictures.
+    sources : Sources
+        The experiments. The store and the figures are read; flows for pictures are kept beside the store. In
+        small form two sequences are shown in pictures.
 
     Returns
     -------
@@ -45,9 +42,8 @@ def write_report(results: Path, settings: Sequence[str] = (), small: bool = Fals
     InputError
         A store, a figure or data that cannot be read; a folder that cannot be written.
     """
-    sources = Sources(results, settings, small)
     text = page(sources)
-    return write_text(text, ensure_folder(results / RUNS) / f"report{sources.suffix}.html")
+    return write_text(text, ensure_folder(sources.results / RUNS) / f"report{sources.suffix}.html")
 
 
 def page(sources: Sources) -> str:
@@ -77,7 +73,7 @@ def experiments() -> list[str]:
 def sections(sources: Sources, names: Sequence[str]) -> list[Section]:
     """Return the parts of the page in their order: the answer first."""
     return [
-        pages.verdicts(claims.evaluate(sources.load)),
+        pages.verdicts(sources.judged, exhibits.answer_picture(sources)),
         pages.protocol_study(sources),
         pages.table2(sources),
         exhibits.figures(sources),

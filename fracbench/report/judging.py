@@ -136,6 +136,11 @@ def combine(verdicts: Sequence[str]) -> str:
     return IN_PART if 2 * sum(verdict != FAILS for verdict in verdicts) >= len(verdicts) else FAILS
 
 
+def weaker(first: str, second: str) -> str:
+    """Return the verdict on a case that needs both."""
+    return max(first, second, key=VERDICTS.index)
+
+
 def grade(whole: bool, part: bool) -> str:
     """Return the verdict on one case."""
     return HOLDS if whole else IN_PART if part else FAILS
@@ -188,8 +193,8 @@ def span(values: Sequence[float] | np.ndarray[Any, Any]) -> str:
 
 
 def percent(ratio: float) -> str:
-    """Return a ratio as the change it stands for, e.g. ``+3.1 %``."""
-    return f"{100.0 * (ratio - 1.0):+.1f} %"
+    """Return a ratio as the change it stands for, e.g. ``+3.1 %``; a large one as such, e.g. ``36.7 times``."""
+    return f"{100.0 * (ratio - 1.0):+.1f} %" if ratio < 2.0 else f"{ratio:.3g} times"
 
 
 def two_over_theta(table: pd.DataFrame) -> float:

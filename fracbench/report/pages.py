@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 from fracbench.harness.assets import asset
 from fracbench.methods.registry import get_method
 from fracbench.report import tables
-from fracbench.report.blocks import Cell, Column, Heading, Section, Table, Tallies, Tally, Text
-from fracbench.report.exhibits import PROTOCOLS, document, figures_of, state
+from fracbench.report.blocks import Block, Cell, Column, Heading, Section, Table, Tallies, Tally, Text
+from fracbench.report.exhibits import document, figures_of, state
 from fracbench.report.gallery import sequence_name
 from fracbench.report.judging import FAILS, HOLDS, IN_PART, UNKNOWN
 from fracbench.report.protocol_study import switch_sentences, switch_table
 from fracbench.report.solver_study import SOLVERS, printed_alphas, solver_sentences, solver_summary
-from fracbench.report.sources import Sources
+from fracbench.report.sources import PROTOCOLS, Sources
 from fracbench.report.tables import METRICS
 
 if TYPE_CHECKING:
@@ -30,18 +30,20 @@ VERDICTS = {HOLDS: "holds", IN_PART: "part", FAILS: "fails", UNKNOWN: "unknown"}
 _UNITS = {"aae": "AAE, rad", "aepe": "AEPE, px", "sdae": "SDAE, rad"}
 
 
-def verdicts(judged: Sequence[Judged]) -> Section:
+def verdicts(judged: Sequence[Judged], pictures: Sequence[Block] = ()) -> Section:
     """Return the claims of the paper, each with its verdict under each protocol.
 
     Parameters
     ----------
     judged : sequence of Judged
         From `fracbench.report.claims.evaluate`.
+    pictures : sequence of Block, optional
+        What sums them up.
 
     Returns
     -------
     Section
-        Counts first, then every claim.
+        Counts and the picture of the answer first, then every claim.
     """
     protocols = list(dict.fromkeys(verdict.protocol for item in judged for verdict in item.verdicts))
     counts = {
@@ -71,7 +73,8 @@ def verdicts(judged: Sequence[Judged]) -> Section:
         f"{len(protocols)} ways to compute: no verdict was typed, all follow from the stored results by the "
         "test that stands below the claim."
     )
-    return Section("verdicts", "Claims", "Which claims hold", [Text(lead), Tallies(cards), table])
+    blocks = [Text(lead), Tallies(cards), *pictures, table]
+    return Section("verdicts", "Claims", "Which claims hold", blocks)
 
 
 def _claim_cell(number: int, item: Judged) -> Cell:

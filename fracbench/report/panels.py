@@ -17,6 +17,7 @@ from fracbench.report.style import (
     equation,
     house_style,
     new_figure,
+    plain_ticks,
     symbol,
     write_below,
 )
@@ -125,13 +126,11 @@ def panel_grid(
 
 
 def _draw_panel(ax: Axes, panel: Panel, x: str, metric: str) -> None:
-    from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
+    from matplotlib.ticker import MaxNLocator
 
     ax.set_yscale("log")
     ax.margins(x=0.05, y=0.08)
-    ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 3, 5)))
-    ax.yaxis.set_major_formatter("{x:g}")
-    ax.yaxis.set_minor_formatter(NullFormatter())
+    plain_ticks(ax.yaxis)
     ax.xaxis.set_major_locator(MaxNLocator(5))
     ax.xaxis.set_major_formatter("{x:g}")
     if panel.band is not None:

@@ -96,21 +96,20 @@ def _latex(text: str) -> str:
 
 def frames(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
     """Draw one frame of each sequence in ``options.sequences``, or of the scenes that stand in for them."""
+    from fracbench.report.drawing import draw
     from fracbench.report.pictures import frame_panel
-    from fracbench.report.style import save_figure
 
     items = [_frame(load_config({"sequence": name}).sequence, plan) for name in _option(experiment, "sequences")]
-    figure = frame_panel(items, columns=4, title=experiment.title)
     stem = file_stem(experiment.name, plan, tables.ensure_folder(results / PRIVATE))
-    return Artefact(save_figure(figure, stem))
+    return Artefact(draw(stem, frame_panel, items, columns=4, title=experiment.title))
 
 
 def region_boxes(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
     """Draw the regions in ``options.regions`` on the frames of their sequences, and list their bounds."""
     import pandas as pd
 
+    from fracbench.report.drawing import draw
     from fracbench.report.pictures import frame_panel
-    from fracbench.report.style import save_figure
 
     pictures: dict[str, tuple[str, NDArray[Any]]] = {}
     boxes: dict[str, dict[str, tuple[int, int, int, int]]] = {}
@@ -129,11 +128,12 @@ def region_boxes(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], re
         boxes.setdefault(key, {})[name.rpartition("_")[2]] = box
         bounds = dict(zip(("first_row", "stop_row", "first_column", "stop_column"), box, strict=True))
         records.append({"region": name, "picture": pictures[key][0], **bounds})
-    figure = frame_panel(list(pictures.values()), boxes=list(boxes.values()), title=experiment.title)
     stem = file_stem(experiment.name, plan, tables.ensure_folder(results / PRIVATE))
     bounds_stem = file_stem(experiment.name, plan, tables.ensure_folder(results / FIGURES))
     table = pd.DataFrame(records)
-    files = [*save_figure(figure, stem), tables.write_table(table, bounds_stem)]
+    shown = (list(pictures.values()), list(boxes.values()))
+    files = draw(stem, frame_panel, shown[0], boxes=shown[1], title=experiment.title)
+    files.append(tables.write_table(table, bounds_stem))
     return Artefact(files, [(experiment.title, table)])
 
 
@@ -150,10 +150,11 @@ def _frame(sequence: SequenceConfig, plan: Plan) -> tuple[str, NDArray[Any]]:
 def family(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
     """Draw errors against ``options.x``, one line for each ``options.family`` and method, a figure a protocol.
 
-    The other options, ``styles``, ``shade`` and ``logx``, are those of `fracbench.report.figures.line_family`.
+    The other options, ``styles``, ``shade``, ``logx`` and ``logy``, are those of
+    `fracbench.report.figures.line_family`.
     """
+    from fracbench.report.drawing import draw
     from fracbench.report.figures import line_family
-    from fracbench.report.style import save_figure
 
     options = dict(experiment.options)
     x, hue = _option(experiment, "x"), _option(experiment, "family")
@@ -163,16 +164,14 @@ def family(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results:
         if name not in swept:
             raise unknown_name("parameter", str(name), swept, f"experiment {experiment.name}, options")
     table = table[["protocol", "sequence", "method", hue, x, "aae", "aepe", "status"]]
-    looks = {name: options[name] for name in ("styles", "shade", "logx") if name in options}
-    figures = {}
-    for protocol, part in table.groupby("protocol", sort=False):
-        place = ", ".join(part["sequence"].unique())
-        title = f"{experiment.title}\n{place}, protocol {protocol}"
-        figures[f"{experiment.name}_{protocol}"] = line_family(part, x=x, family=hue, title=title, **looks)
+    looks = {name: options[name] for name in ("styles", "shade", "logx", "logy") if name in options}
     folder = tables.ensure_folder(results / FIGURES)
     artefact = Artefact()
-    for name, figure in figures.items():
-        artefact.files += save_figure(figure, file_stem(name, plan, folder))
+    for protocol, part in table.groupby("protocol", sort=False):
+        place = f"{', '.join(part['sequence'].unique())}, " if plan.stand_in else ""
+        title = f"{experiment.title}\n{place}protocol {protocol}"
+        stem = file_stem(f"{experiment.name}_{protocol}", plan, folder)
+        artefact.files += draw(stem, line_family, part, x=x, family=hue, title=title, **looks)
     artefact.files.append(tables.write_table(table, file_stem(experiment.name, plan, folder)))
     best = best_values(table[table["status"] == "done"], ["protocol", "method"], [hue, x])
     artefact.views.append((f"Where the errors are smallest: {hue}, {x}", best))

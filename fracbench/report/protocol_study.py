@@ -24,8 +24,8 @@ def protocol_study(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], 
     """Show the distance to the printed Table 2 as switches are turned; see `fracbench.report.base.Renderer`."""
     import pandas as pd
 
+    from fracbench.report.drawing import draw
     from fracbench.report.study_figures import switch_dots
-    from fracbench.report.style import save_figure
 
     published = pd.read_csv(asset("results/published/table2.csv"))
     table = switch_table(tables.tidy(plan, rows), published, experiment.grids)
@@ -33,10 +33,8 @@ def protocol_study(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], 
     notes = [*plan.notices, *tables.footnote(rows, ["reference", "published"])]
     text = [f"# {experiment.title}\n", _SWITCH_LEGEND + "\n", tables.to_markdown(table) + "\n"]
     text += ["\n\n".join([*lines, *notes])]
-    figure = save_figure(
-        switch_dots(table, experiment.title),
-        file_stem(experiment.name, plan, tables.ensure_folder(results / "figures")),
-    )
+    drawn = file_stem(experiment.name, plan, tables.ensure_folder(results / "figures"))
+    figure = draw(drawn, switch_dots, table, experiment.title)
     stem = file_stem(experiment.name, plan, tables.ensure_folder(results / "tables"))
     files = [
         tables.write_table(table, stem),

@@ -188,33 +188,42 @@ def rougher(tables: Tables, setting: str, *, region: str, than: str) -> Judgemen
     """Judge whether the errors of one region go up and down more along alpha than those of another."""
     verdicts, sentences = [], []
     for metric in ERRORS:
-        detours = {
-            name: _detour(region_curve(tables, setting, name)[metric].to_numpy()) for name in (region, than)
+        extra = {
+            name: _extra_way(region_curve(tables, setting, name)[metric].to_numpy()) for name in (region, than)
         }
-        verdicts.append(grade(detours[region] > detours[than] + 0.01, False))
-        sentences.append(
-            f"{metric.upper()} {100 * detours[region]:.0f} % on {region} and {100 * detours[than]:.0f} %"
-        )
-    return combine(
-        verdicts
-    ), f"Way up and down beyond that of one valley: {', '.join(f'{s} on {than}' for s in sentences)}."
+        verdicts.append(grade(extra[region] >= extra[than] + SIGNIFICANT, False))
+        shown = " and ".join(f"{100 * value:.0f} % on {name}" for name, value in extra.items())
+        sentences.append(f"{metric.upper()} {shown}")
+    return combine(verdicts), f"Ups and downs beyond those of a single valley: {'; '.join(sentences)}."
 
 
-def _detour(errors: np.ndarray[Any, Any]) -> float:
-    """Return how much longer the way up and down a curve is than that of a curve with one valley."""
-    valley = errors[0] + errors[-1] - 2.0 * errors.min()
-    return float(np.abs(np.diff(errors)).sum() / valley - 1.0) if valley > 0.0 else 0.0
+def _extra_way(errors: np.ndarray[Any, Any]) -> float:
+    """Return the sum of the relative ups and downs of a curve beyond those of a curve with one valley."""
+    logs = np.log(errors)
+    return max(float(np.abs(np.diff(logs)).sum() - (logs[0] + logs[-1] - 2.0 * logs.min())), 0.0)
 
 
 @rule(*PROTOCOLS, CONTEXT)
 def no_common_alpha(tables: Tables, setting: str) -> Judgement:
     """Judge whether no single alpha is good enough for all six regions."""
+    import pandas as pd
+
     verdicts, sentences = [], []
     for metric in ERRORS:
-        near = {region: near_best(region_curve(tables, setting, region), metric, "alpha") for region in REGIONS}
-        common = set.intersection(*(set(np.round(values, 6)) for values in near.values()))
-        verdicts.append(grade(not common, False))
-        shared = f"alpha {span(sorted(common))} is" if common else "none is"
-        ranges = ", ".join(f"{region} {span(values)}" for region, values in near.items())
-        sentences.append(f"by {metric.upper()} {shared} {NEAR} in all six ({ranges})")
-    return combine(verdicts), f"{'; '.join(sentences)[0].upper()}{'; '.join(sentences)[1:]}."
+        excess, best = {}, {}
+        for region in REGIONS:
+            errors = region_curve(tables, setting, region).set_index("alpha")[metric]
+            excess[region], best[region] = errors / errors.min(), float(errors.idxmin())
+        table = pd.DataFrame(excess)
+        if table.isna().any(axis=None):
+            raise UnjudgeableError("the regions were not computed at the same values of alpha")
+        worst = table.max(axis=1)
+        common, cost = float(worst.idxmin()), float(worst.min())
+        verdicts.append(grade(cost >= 1.0 + SIGNIFICANT, cost > 1.0 + FLAT))
+        places = ", ".join(f"{region} {alpha:g}" for region, alpha in best.items())
+        sentences.append(
+            f"by {metric.upper()}, alpha {common:g} serves all six with at most {percent(cost)} "
+            f"({table.loc[common].idxmax()}); the best are {places}"
+        )
+    text = "; ".join(sentences)
+    return combine(verdicts), f"{text[0].upper()}{text[1:]}."

@@ -21,21 +21,28 @@ if TYPE_CHECKING:
 
 #: Solvers of the u-step, as the study names them.
 SOLVERS: Mapping[str, str] = {"jacobi": "Jacobi (printed)", "gauss_seidel": "Gauss-Seidel", "exact": "exact"}
+#: What the tables of whole runs keep.
+_COLUMNS = ["region", "sequence", "theta", "lambda_sb", "u_solver", "alpha", "aae", "aepe"]
+_COLUMNS += ["iterations", "inner_iterations", "stop", "status"]
 #: A best alpha this near to the limit, or to the paper's (one step of its grid), counts as there.
 NEAR_LIMIT, NEAR_PAPER = 0.2, 0.1 + 1e-9
 
 
 def solver_study(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
     """Compare the solvers of the u-step, alone and in whole runs; see `fracbench.report.base.Renderer`."""
+    from fracbench.report.drawing import draw
     from fracbench.report.study_figures import solver_panels
-    from fracbench.report.style import save_figure
 
     options = _checked_options(experiment)
     runs = tables.tidy(plan, rows)
     pairs = runs.drop_duplicates("region").set_index("region")[["theta", "lambda_sb"]]
-    spectra = spectra_table(pairs, **options)
     summary = solver_summary(runs, pairs, printed_alphas())
     lines = solver_sentences(runs, summary)
+
+    def stem(kind: str, folder: str = "tables") -> Path:
+        return file_stem(experiment.name + kind, plan, tables.ensure_folder(results / folder))
+
+    spectra, spectra_files = _kept_spectra(stem("_spectra"), pairs, options)
     size, notes = options["size"], [*plan.notices, *tables.footnote(rows, ["reference"])]
     text = [
         f"# {experiment.title}\n",
@@ -45,19 +52,27 @@ def solver_study(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], re
     ]
     text += [f"\n## The u-system alone, {size} x {size} pixels\n", _SPECTRA_LEGEND.format(**options) + "\n"]
     text += [tables.to_markdown(_side_by_side(spectra)) + "\n", "\n\n".join(notes)]
-    drawing = solver_panels(spectra, runs, summary, experiment.title)
-
-    def stem(kind: str, folder: str = "tables") -> Path:
-        return file_stem(experiment.name + kind, plan, tables.ensure_folder(results / folder))
-
     files = [
         tables.write_table(summary, stem("")),
-        tables.write_table(spectra, stem("_spectra")),
-        tables.write_table(runs, stem("_runs")),
+        *spectra_files,
+        tables.write_table(runs[_COLUMNS], stem("_runs")),
         tables.write_text("\n".join(text) + "\n", stem("").with_name(f"{stem('').name}.md")),
-        *save_figure(drawing, stem("", "figures")),
+        *draw(stem("", "figures"), solver_panels, spectra, runs, summary, experiment.title),
     ]
     return Artefact(files, [(experiment.title, _short(summary))], lines)
+
+
+def _kept_spectra(stem: Path, pairs: pd.DataFrame, options: Mapping[str, Any]) -> tuple[pd.DataFrame, list[Path]]:
+    """Return the table of `spectra_table` and its file, which is read where it holds these very spectra."""
+    import pandas as pd
+
+    from fracbench.model.spectra import SWEEPS
+    from fracbench.report.drawing import keep
+
+    path = stem.with_name(f"{stem.name}.csv")
+    files = keep([path], (pairs, options), lambda: tables.write_table(spectra_table(pairs, **options), stem))
+    counts = {f"{sweep} sweeps": "Int64" for sweep in SWEEPS}
+    return pd.read_csv(path, dtype=counts), files
 
 
 def _checked_options(experiment: Experiment) -> dict[str, Any]:

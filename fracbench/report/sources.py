@@ -11,12 +11,22 @@ from typing import TYPE_CHECKING
 from fracbench.harness.experiment import Experiment, list_experiments, load_experiment
 from fracbench.harness.plan import Plan, plan_experiment
 from fracbench.harness.store import Row, Store
+from fracbench.report.judging import CONTEXT
 
 if TYPE_CHECKING:
     import pandas as pd
 
+    from fracbench.report.claims import Judged
+
 #: Where the store and what is computed for pictures are, below the results folder.
 RUNS = "runs"
+#: What each protocol is, in a line.
+PROTOCOLS = {
+    "reference": "the paper's model, computed correctly and to convergence",
+    "published": "the run nearest to the printed Table 2: coarse flow halved on upsampling, few iterations",
+    "as_printed": "Algorithms 1 and 2 to the letter: the flow to linearise about is never renewed",
+    CONTEXT: "the model with reflecting boundary and 48 pixels of image around each region: not the paper's",
+}
 #: What the names of files end with, by data set and size; see `fracbench.report.base.file_stem`.
 SUFFIXES = ("", "_synthetic", "_small", "_synthetic_small")
 
@@ -81,6 +91,8 @@ class Sources:
         Overrides for all grids: data set, paths.
     small : bool, optional
         Whether grids are thinned.
+    plans : mapping of str to Plan, optional
+        Experiments that have been planned already, by name.
 
     Attributes
     ----------
@@ -95,13 +107,20 @@ class Sources:
         A store or data that cannot be read.
     """
 
-    def __init__(self, results: Path, settings: Sequence[str] = (), small: bool = False) -> None:
+    def __init__(
+        self,
+        results: Path,
+        settings: Sequence[str] = (),
+        small: bool = False,
+        plans: Mapping[str, Plan] | None = None,
+    ) -> None:
         self.results = results
         self.settings = tuple(settings)
         self.small = small
         data = plan_experiment({}, self.settings, allow_download=False, small=small)
         self.stand_in = data.stand_in
         self.suffix = SUFFIXES[data.stand_in + 2 * data.small]
+        self._plans = dict(plans or {})
         self._found: dict[str, Source | None] = {}
 
     def get(self, name: str) -> Source | None:
@@ -115,6 +134,13 @@ class Sources:
         source = self.get(name)
         return source.table if source is not None and source.rows else None
 
+    @cached_property
+    def judged(self) -> list[Judged]:
+        """The paper's claims with their verdicts."""
+        from fracbench.report.claims import evaluate
+
+        return evaluate(self.load)
+
     def command(self, name: str) -> str:
         """Return the command that computes an experiment."""
         kind, number = next(
@@ -125,7 +151,9 @@ class Sources:
 
     def _read(self, name: str) -> Source:
         experiment = load_experiment(name)
-        plan = plan_experiment(experiment.grids, self.settings, allow_download=False, small=self.small)
+        plan = self._plans.get(name)
+        if plan is None:
+            plan = plan_experiment(experiment.grids, self.settings, allow_download=False, small=self.small)
         with Store(self.results / RUNS / "store.sqlite", readonly=True) as store:
             rows = store.get_many(plan.unique())
         return Source(experiment, plan, rows, self.command(name))

@@ -6,14 +6,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fracbench.report.style import METRICS, PALETTE, STAR, axis_label, house_style, new_figure
+from fracbench.report.style import METRICS, PALETTE, STAR, axis_label, house_style, new_figure, plain_ticks
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_DOTS = (("tvl1", "TV-L1", "o"), ("tvl1_sb", "TV-L1-SB", "s"))
+#: Method, name, marker, and its face: an open one around the other shows both where they agree.
+_DOTS = (("tvl1", "TV-L1", "o", None), ("tvl1_sb", "TV-L1-SB", "s", "none"))
+_LINE = 0.5  # half the height of a line of text, in rows
 #: Colour, marker and name of the solvers.
 _LINES = {
     "jacobi": (PALETTE[1], "o", "Jacobi (printed)"),
@@ -41,16 +43,19 @@ def switch_dots(table: pd.DataFrame, title: str) -> Figure:
     """
     places, labels, place = [], [], 0.0
     for i, (protocol, switch, setting) in enumerate(table[["protocol", "switch", "set to"]].to_numpy()):
-        place += 1.7 if i and not switch else 1.0
+        labels.append(setting.replace(", ", "\n") if switch else f"protocol {protocol}")
+        half = _LINE * max(labels[-1].count("\n") - 1, 0)  # of what a tall label needs above and below it
+        place += half + (1.7 if i and not switch else 1.0)
         places.append(-place)
-        labels.append(f"  {setting}".replace(", ", "\n  ") if switch else f"protocol {protocol}")
+        place += half
     with house_style():
-        fig = new_figure(0.36 * len(places) + 1.6)
+        fig = new_figure(0.36 * place + 1.6)
         fig.suptitle(title)
         left, right = fig.subplots(1, 2, sharey=True)
         left.barh(places, table["distance"], height=0.55, color="#D9D9D9", label="both methods")
-        for color, (method, name, marker) in zip(PALETTE, _DOTS, strict=False):
+        for color, (method, name, marker, face) in zip(PALETTE, _DOTS, strict=False):
             look: dict[str, Any] = {"color": color, "marker": marker, "linestyle": "none", "label": name}
+            look |= {"markerfacecolor": face or color, "markersize": 5 if face is None else 8}
             left.plot(table[f"distance {method}"], places, **look)
             right.plot(table[f"AEPE {method}"], places, **look)
         if table["distance"].isna().all():
@@ -58,7 +63,7 @@ def switch_dots(table: pd.DataFrame, title: str) -> Figure:
         left.set(xlabel="distance to the printed Table 2\n(RMS of ln(ours / printed))", yticks=places)
         left.set_yticklabels(labels)
         right.set(xlabel="mean AEPE [px]", xscale="log")
-        _plain_ticks(right.xaxis)
+        plain_ticks(right.xaxis)
         for ax in (left, right):
             ax.grid(axis="y", visible=False)
         left.set_xlim(left=0.0)
@@ -96,13 +101,13 @@ def solver_panels(spectra: pd.DataFrame, runs: pd.DataFrame, summary: pd.DataFra
             ax = fig.add_subplot(grid[1 + i // 3, i % 3])
             _draw_region(ax, runs[runs["region"] == row["region"]], row)
         handles, labels = ax.get_legend_handles_labels()
-        fig.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+        fig.legend(handles, labels, loc="outside lower center", ncols=3)
     return fig
 
 
 def _draw_spectra(axes: list[Axes], spectra: pd.DataFrame) -> None:
     columns = ("jacobi radius", "gauss_seidel radius", "sweeps")
-    titles = ("Jacobi: spectral radius", "Gauss-Seidel: spectral radius", "sweeps (dashed: Jacobi)")
+    titles = ("Jacobi: spectral radius", "Gauss-Seidel: spectral radius", "sweeps needed (dashed: Jacobi)")
     for ax, column, title in zip(axes, columns, titles, strict=True):
         ax.set(xlabel=axis_label("alpha"), title=title)
         for i, (_, part) in enumerate(spectra.groupby("region", sort=False)):
@@ -114,17 +119,9 @@ def _draw_spectra(axes: list[Axes], spectra: pd.DataFrame) -> None:
             else:
                 ax.plot(part["alpha"], part[column], label=rf"$\theta$ {theta:g}, $\lambda_{{SB}}$ {mu:g}", **look)
     axes[0].axhline(1.0, **_LIMIT)
-    axes[0].legend(fontsize=6.5)
+    axes[0].legend(fontsize=7, handlelength=1.2, labelspacing=0.25, borderaxespad=0.1)
     axes[2].set_yscale("log")
-
-
-def _plain_ticks(axis: Any) -> None:
-    """Write the ticks of a logarithmic axis as plain numbers."""
-    from matplotlib.ticker import FuncFormatter, LogLocator
-
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_formatter(FuncFormatter(lambda *_: ""))
+    axes[2].yaxis.set_major_formatter("{x:g}")
 
 
 def _draw_counts(ax: Axes, part: pd.DataFrame, look: dict[str, Any]) -> None:
@@ -142,8 +139,8 @@ def _draw_region(ax: Axes, curves: pd.DataFrame, row: pd.Series) -> None:
         best = row[f"aepe {solver}"]
         if np.isfinite(best):
             ax.plot([best], [row[f"aepe {solver} error"]], **{**STAR, "markersize": 9}, color=color)
-    ax.axvline(row["limit"], label="Jacobi diverges beyond", **_LIMIT)
+    ax.axvline(row["limit"], label="u-system alone: Jacobi diverges beyond", **_LIMIT)
     ax.axvline(row["aepe paper"], color="#404040", linewidth=0.9, linestyle="-", label="best in the paper")
     if (curves["aepe"] > 0).any():
         ax.set_yscale("log")
-        _plain_ticks(ax.yaxis)
+        plain_ticks(ax.yaxis)

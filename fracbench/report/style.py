@@ -163,15 +163,24 @@ def two_panels(title: str = "") -> tuple[Figure, list[Axes]]:
     """Return a figure with two panels side by side, one for each of `METRICS`."""
     fig = new_figure(3.5)
     if title:
-        fig.suptitle(title)
+        fig.suptitle(title.replace("λ_SB", symbol("lambda_sb")))
     return fig, list(fig.subplots(1, 2))
+
+
+def plain_ticks(axis: Any, multiples: Sequence[float] = (1.0, 2.0, 3.0, 5.0)) -> None:
+    """Write the ticks of a logarithmic axis, these multiples of powers of ten, as plain numbers."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    axis.set_major_locator(LogLocator(subs=multiples))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())
 
 
 def write_below(ax: Axes, x: float, y: float, text: str) -> None:
     """Write under a point, inside the panel: under a minimum there is no curve."""
     scale = ax.yaxis.get_transform()
     low, high = scale.transform(ax.get_ylim())
-    ax.set_ylim(bottom=float(scale.inverted().transform(low - 0.1 * (high - low))))
+    ax.set_ylim(bottom=float(scale.inverted().transform(low - 0.14 * (high - low))))
     across = ax.transAxes.inverted().transform(ax.transData.transform((x, y)))[0]
     side = "left" if across < 0.2 else "right" if across > 0.8 else "center"
     paper = {"facecolor": "white", "edgecolor": "none", "alpha": 0.7, "pad": 0.8}
@@ -261,7 +270,24 @@ def render(fig: Figure, fmt: str) -> bytes:
             fig.draw_without_rendering()
             fig.set_layout_engine("none")
         fig.savefig(buffer, format=fmt, metadata=_METADATA[fmt])
+    photographs = any(ax.images for ax in fig.axes)
+    return _slim(buffer.getvalue()) if fmt == "png" and not photographs else buffer.getvalue()
+
+
+def _slim(png: bytes) -> bytes:
+    """Return a drawing with a palette of 256 colours: a third of the bytes, and nothing that can be seen."""
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    with Image.open(io.BytesIO(png)) as picture:
+        few = picture.convert("RGB").quantize(256, dither=Image.Dither.NONE)
+    few.save(buffer, "PNG", optimize=True, dpi=(DPI, DPI))
     return buffer.getvalue()
+
+
+def figure_files(stem: Path) -> list[Path]:
+    """Return where `save_figure` writes: the png and the pdf; dots in the stem are kept."""
+    return [stem.with_name(f"{stem.name}.{fmt}") for fmt in _METADATA]
 
 
 def save_figure(fig: Figure, stem: Path) -> list[Path]:
@@ -285,7 +311,7 @@ def save_figure(fig: Figure, stem: Path) -> list[Path]:
         If the folder cannot be written to.
     """
     # Both are drawn before either is written: a figure that cannot be drawn replaces nothing.
-    contents = {stem.with_name(f"{stem.name}.{fmt}"): render(fig, fmt) for fmt in _METADATA}
+    contents = {path: render(fig, path.suffix.removeprefix(".")) for path in figure_files(stem)}
     for path, content in contents.items():
         with atomic_path(path) as tmp:
             tmp.write_bytes(content)

@@ -287,7 +287,7 @@ def write_text(text: str, path: Path) -> Path:
     text : str
         Content.
     path : Path
-        The file; its folder is created.
+        The file; its folder must exist.
 
     Returns
     -------

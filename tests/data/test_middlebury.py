@@ -220,6 +220,20 @@ class TestResolve:
             mb.resolve("sintetic")
 
 
+def test_a_download_completes_what_there_is(monkeypatch, tmp_path):
+    """Else the files would go where `find` does not look, as long as it finds some elsewhere."""
+    partial, cache = tmp_path / "data" / "middlebury", tmp_path / "cache"
+    monkeypatch.delenv("FRACBENCH_DATA", raising=False)
+    monkeypatch.setattr(mb, "cache_folder", lambda: cache)
+    monkeypatch.setattr(mb, "_usual_places", lambda: [("here", partial), ("the user cache", cache)])
+    assert mb.download_folder() == cache
+    (partial / "Venus").mkdir(parents=True)
+    (partial / "Venus" / "flow10.flo").write_bytes(b"x")
+    assert mb.download_folder() == partial
+    monkeypatch.setenv("FRACBENCH_DATA", str(tmp_path / "asked"))  # which holds nothing yet
+    assert mb.download_folder() == tmp_path / "asked"
+
+
 def test_importing_the_look_up_loads_nothing_heavy():
     code = (
         "import sys, fracbench.data.middlebury; "

@@ -283,8 +283,12 @@ def test_settings_of_a_region_are_refused_without_one(key, value):
             "`n_warps` must be a whole number, got 1.5",
         ),
         ("protocol/own.yaml", "protocl: own", "unknown key 'protocl': did you mean 'protocol'?"),
-        ("protocol/own.yaml", "paths: {reslts: x}", "paths: unknown key 'reslts': did you mean 'results'?"),
-        ("protocol/own.yaml", "shift: [", "configuration"),
+        (
+            "protocol/own.yaml",
+            "protocol: own\npaths: {reslts: x}",
+            "paths: unknown key 'reslts': did you mean 'results'?",
+        ),
+        ("protocol/own.yaml", "shift: [", "protocol/own.yaml: cannot be read as YAML"),
         (
             "region/own.yaml",
             _REGION + "region: {name: own, sequence: grove2, rows: [0, 9], colls: [0, 9]}",

@@ -94,7 +94,7 @@ def test_an_unknown_experiment_offers_the_nearest(work):
         ("grid: [1, 2]\n", "a grid must be a list of overrides"),
         ("grids: {a: [alpha=1], b: alpha=1}\n", "a grid must be a list of overrides"),
         ("grids: [alpha=1]\n", "a grid must be a list of overrides"),
-        ("grid: [alpha=1]\noptions: [a]\n", "`options` must be a mapping"),
+        ("grid: [alpha=1]\noptions: [a]\n", "`options`: must be a mapping"),
     ],
 )
 def test_mistakes_are_one_line_that_names_the_file(work, text, message):

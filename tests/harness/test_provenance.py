@@ -5,12 +5,16 @@ import os
 import platform
 import shutil
 import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import fracbench
-from fracbench.harness import provenance
+from fracbench.harness import execute, plan, provenance
+from fracbench.harness.store import Store
+from fracbench.harness.task import run_point
+from fracbench.model import SOLVER_VERSION
 
 
 @pytest.fixture(autouse=True)
@@ -46,16 +50,23 @@ def test_the_machine_and_its_versions_are_told():
     assert machine["cores"] == os.cpu_count()
     assert machine["python"] == platform.python_version()
     assert machine["cpu"]
-    assert set(machine["versions"]) == {"fracbench", "numpy", "scipy", "numba"}
+    assert {"fracbench", "numpy", "scipy", "numba"} <= set(machine["versions"])
+    assert machine["versions"]["fracbench"] == fracbench.__version__
     assert machine["versions"]["numpy"] == np.__version__
 
 
-def test_a_package_that_is_not_installed_is_no_error(monkeypatch):
+def test_packages_that_are_not_installed_are_no_error(monkeypatch):
     def missing(name):
         raise importlib.metadata.PackageNotFoundError(name)
 
     monkeypatch.setattr(provenance.importlib.metadata, "version", missing)
-    assert set(provenance.versions().values()) == {"not installed"}
+    missing_ones = dict.fromkeys(("numpy", "scipy", "numba"), "not installed")
+    assert provenance.versions() == {"fracbench": fracbench.__version__, **missing_ones}
+
+
+def test_a_peer_that_is_installed_is_told(monkeypatch):
+    monkeypatch.setattr(provenance.importlib.metadata, "version", lambda name: f"version of {name}")
+    assert provenance.versions()["scikit-image"] == "version of scikit-image"
 
 
 def test_the_commit_and_changes_of_tracked_files_are_told(repository):
@@ -82,6 +93,32 @@ def test_outside_a_repository_there_is_no_commit(tmp_path, monkeypatch):
     assert provenance.commit() == unknown
 
 
-def test_the_installed_version_is_the_packages_own():
-    found = provenance.versions()["fracbench"]
-    assert found in (fracbench.__version__, "not installed")
+def test_every_row_carries_where_it_comes_from(cli, work, tiny):
+    assert cli("sweep", *tiny, "alpha=0.5,1", "method=tvl1_sb_alpha").code == 0
+    with Store(work / "results" / "runs" / "store.sqlite", readonly=True) as store:
+        rows = store.rows()
+    assert len(rows) == 2
+    for row in rows:
+        origin = row.provenance
+        assert origin["host"] == platform.node() and origin["cpu"] and origin["cores"] == os.cpu_count()
+        assert origin["versions"] == provenance.versions() and origin["python"] == platform.python_version()
+        assert origin["threads"] == 1
+        assert (origin["commit"], origin["dirty"]) == tuple(provenance.commit().values())
+        assert len(origin["data"]) == 64 and row.solver_version == SOLVER_VERSION and row.created
+
+
+def test_a_point_that_fails_tells_where_as_well(tiny):
+    (planned,) = plan.make_plan([*tiny, "method=tvl1"]).points
+    outcome = run_point(replace(planned.point, data_digest="of other data"), None)
+    assert (outcome.status, outcome.machine) == ("failed", provenance.machine())
+
+
+def test_why_a_point_is_run_again_is_said(cli, work, tiny, monkeypatch):
+    first = cli("sweep", *tiny, "alpha=0.5,1", "method=tvl1_sb_alpha")
+    assert "2 points computed (2 new), 0 taken from the store\n" in first.err
+    more = cli("sweep", *tiny, "alpha=0.5,1,1.5", "method=tvl1_sb_alpha")
+    assert "1 points computed (1 new), 2 taken from the store\n" in more.err
+    for module in (plan, execute):
+        monkeypatch.setattr(module, "SOLVER_VERSION", 99)
+    again = cli("sweep", *tiny, "alpha=0.5,1", "method=tvl1_sb_alpha")
+    assert f"2 points computed (2 solver version {SOLVER_VERSION} -> 99)" in again.err

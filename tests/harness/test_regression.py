@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -11,7 +10,8 @@ import pytest
 from fracbench.errors import InputError
 from fracbench.harness import regression
 from fracbench.harness.plan import make_plan
-from fracbench.harness.regression import COUNTED, MEASURED, Tolerance, check, compare, load_tolerances, update
+from fracbench.harness.regression import COUNTED, check, compare, update
+from fracbench.harness.tolerances import MEASURED, Tolerance, Tolerances
 from fracbench.model import SOLVER_VERSION
 from fracbench.report.tables import tidy
 
@@ -19,7 +19,7 @@ GRID = (
     "sequence=synthetic_flat", "n_scales=1", "n_warps=1", "max_iter=2", "theta={theta}", "alpha=0.5,1",
     "method=tvl1,tvl1_sb_alpha",
 )  # fmt: skip
-TOLERANCES = {column: Tolerance(1e-6, 1e-3, "measured", "rounding") for column in MEASURED}
+TOLERANCES = Tolerances({column: Tolerance(1e-6, 1e-3, "measured", "rounding") for column in MEASURED})
 TOML = "\n".join(
     f'[{column}]\nabsolute = 1e-6\nrelative = 1e-3\nbasis = "measured"\nreason = "rounding"' for column in MEASURED
 )
@@ -44,17 +44,12 @@ def differences(stored: pd.DataFrame, found: pd.DataFrame) -> list[str]:
     return [str(difference) for difference in compare("t", stored, found, TOLERANCES).differences]
 
 
-@pytest.fixture
-def reference(work, monkeypatch) -> Path:
-    """A project of its own: one tiny experiment, and a folder for its stored tables."""
+@pytest.fixture(autouse=True)
+def mini(work, reference) -> None:
+    """A project of its own: one tiny experiment, and tolerances."""
     (work / "experiments").mkdir()
-    folder = work / "results" / "reference"
-    folder.mkdir(parents=True)
-    (folder / "tolerances.toml").write_text(TOML)
-    monkeypatch.setattr(regression, "asset", lambda relative: work / relative)
-    monkeypatch.setattr(regression, "checkout", lambda: work)
+    (reference / "tolerances.toml").write_text(TOML)
     write_experiment(work, theta="0.3")
-    return folder
 
 
 def write_experiment(work, theta, name="mini", grid=GRID):
@@ -118,7 +113,7 @@ def test_a_number_within_its_tolerance_holds_and_beyond_it_does_not():
 
 
 def test_the_tolerance_is_the_columns_own():
-    tolerances = {**TOLERANCES, "sdae": Tolerance(1.0, 0.0, "b", "r")}
+    tolerances = Tolerances({**TOLERANCES.columns, "sdae": Tolerance(1.0, 0.0, "b", "r")})
     moved = table(sdae=["1.4", "0.6"])
     assert compare("t", table(), moved, tolerances).differences == []
     assert compare("t", table(), moved, TOLERANCES).differences != []
@@ -172,6 +167,12 @@ def test_a_missing_and_an_extra_column_are_differences(column):
     assert f"all rows: {column}: stored missing, found present (allowed: the same columns)" in extra
 
 
+@pytest.mark.parametrize("column", [*MEASURED, *COUNTED])
+def test_a_column_that_both_lack_is_a_difference(column):
+    less = table().drop(columns=column)
+    assert len(differences(less, less)) == len(less)
+
+
 def test_a_column_that_nobody_knows_is_a_difference():
     assert len(differences(table(), table(median=["1", "2"]))) == 1
     assert len(differences(table(median=["1", "2"]), table())) == 1
@@ -191,45 +192,6 @@ def test_what_is_not_finite_is_outside_every_tolerance():
     assert not wide.allows(float("inf"), float("inf"))
     assert not wide.allows(float("nan"), 1.0)
     assert not wide.allows(1.0, float("nan"))
-
-
-# -- tolerances ----------------------------------------------------------------------------------
-
-
-def test_tolerances_are_read(reference):
-    assert load_tolerances() == {
-        column: Tolerance(1e-6, 1e-3, "measured", "rounding") for column in ("aae", "aepe", "sdae")
-    }
-
-
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ('reason = "rounding"', ""),
-        ('reason = "rounding"', 'reason = " "'),
-        ('basis = "measured"', ""),
-        ('basis = "measured"', 'basis = ""'),
-        ("absolute = 1e-6", ""),
-        ("absolute = 1e-6", "absolute = -1e-6"),
-        ("relative = 1e-3", "relative = inf"),
-        ("relative = 1e-3", "relative = nan"),
-        ("relative = 1e-3", 'relative = "1e-3"'),
-        ("relative = 1e-3", "relativ = 1e-3"),
-        ("[aepe]", "[apee]"),
-        ("[aepe]", "[aepe"),
-        ("[aepe]", "[aae]"),
-    ],
-)
-def test_a_tolerance_without_all_it_needs_is_refused(reference, old, new):
-    path = reference / "tolerances.toml"
-    assert old in TOML
-    path.write_text(TOML.replace(old, new, 1))
-    assert "each of aae, aepe, sdae needs absolute, relative, basis, reason" in refusal(load_tolerances)
-
-
-def test_no_tolerances_at_all_are_refused(reference):
-    (reference / "tolerances.toml").unlink()
-    assert "tolerances.toml" in refusal(load_tolerances)
 
 
 # -- check and update ----------------------------------------------------------------------------
@@ -333,6 +295,24 @@ def test_every_table_is_listed(reference, made_up):
     store_table()
     store_table("mini_synthetic")
     assert regression.stored_tables() == ["mini", "mini_synthetic"]
+
+
+def test_a_table_of_which_only_the_record_is_left_does_not_hold(reference, made_up):
+    store_table()
+    (reference / "mini.csv").unlink()
+    assert regression.stored_tables() == ["mini"]
+    (said,) = recheck().differences
+    assert str(said) == "all rows: table: stored missing, found present (allowed: the same tables)"
+
+
+def test_a_cell_may_have_a_tolerance_of_its_own():
+    cells = {("t", "venus, tvl1", "aae"): 0.1}
+    tolerances = Tolerances(TOLERANCES.columns, cells)
+    assert compare("t", table(), table(aae=["0.1", "0.21"]), tolerances).differences == []
+    for name, moved in (("t", ["0.105", "0.2"]), ("u", ["0.1", "0.21"]), ("t", ["0.1", "0.23"])):
+        assert len(compare(name, table(), table(aae=moved), tolerances).differences) == 1
+    (said,) = compare("t", table(), table(aae=["0.1", "0.23"]), tolerances).differences
+    assert said.allowed == "1e-06 + 0.1 of the stored"
 
 
 def test_an_unknown_table_offers_the_nearest(reference, made_up):

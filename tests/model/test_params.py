@@ -94,8 +94,11 @@ def test_wrong_types_are_refused(name, value, message):
         ("tau", 0.3, r"`tau` must be in \(0, 0.25\], got 0.3"),
         ("coupling_step", 0, r"`coupling_step` must be greater than 0, got 0"),
         ("relaxation", 2, r"`relaxation` must be in \[1, 1.9\], got 2"),
-        ("pad", -1, r"`pad` must be at least 0, got -1"),
-        ("presmoothing", -1, r"`presmoothing` must be at least 0, got -1"),
+        ("pad", -1, r"`pad` must be in \[0, 1000\], got -1"),
+        ("pad", 10**9, r"`pad` must be in \[0, 1000\], got 1e\+09"),
+        ("presmoothing", -1, r"`presmoothing` must be in \[0, 100\], got -1"),
+        ("presmoothing", 1e9, r"`presmoothing` must be in \[0, 100\], got 1e\+09"),
+        ("upsample_gain", 1e300, r"`upsample_gain` must be in \[0, 10\], got 1e\+300"),
     ],
 )
 def test_values_outside_their_range_are_refused(name, value, message):
@@ -142,7 +145,7 @@ def test_unknown_words_offer_the_nearest(name, value, nearest):
 
 
 def test_words_without_a_neighbour_list_what_is_allowed():
-    refused(r"unknown value of `dtype` '7': \(allowed: float32, float64\)", dtype=7)
+    refused(r"unknown value of `dtype` '7' \(allowed: float32, float64\)", dtype=7)
 
 
 def test_lambda_has_two_spellings():

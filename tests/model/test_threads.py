@@ -6,6 +6,7 @@ import threading
 
 import numpy as np
 import pytest
+from numba import config
 
 from fracbench import estimate_flow
 from fracbench.errors import InputError
@@ -46,6 +47,7 @@ def test_an_error_in_any_thread_is_raised():
         share(work, 2, least=1)
 
 
+@pytest.mark.skipif(config.DISABLE_JIT, reason="takes minutes without compilation")
 @pytest.mark.parametrize(("method", "boundary"), [("tvl1_sb_alpha", "reflect"), ("tvl1_sb", None), ("tvl1", None)])
 def test_the_flow_does_not_depend_on_the_number_of_threads(method, boundary):
     rng = np.random.default_rng(2)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.fft
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from numba import config
 
 from fracbench.model._lanes import LANES
 from fracbench.model.fourier import fourier, line_plan
@@ -123,6 +124,7 @@ def test_adjoint_of_the_derivatives(rng, n, count, axis):
     np.testing.assert_allclose(both, expected, atol=1e-12)
 
 
+@settings(deadline=None, max_examples=10 if config.DISABLE_JIT else 100)
 @given(st.integers(1, 400), st.integers(1, 40), st.integers(0, 1), st.integers(0, 2**32 - 1))
 def test_back_undoes_forth_for_any_size(n, count, axis, seed):
     x = np.random.default_rng(seed).normal(size=lines(n, count, axis))

@@ -22,7 +22,8 @@ FILES = ["fig6", "fig6_context", "fig6_protocols"]
 
 
 def files(folder: Path) -> list[str]:
-    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
+    """Files below a folder, without the records of what was drawn."""
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("[!.]*") if path.is_file())
 
 
 def on_scenes(name="fig6", **options):
@@ -40,7 +41,7 @@ def errors(labels, params):
 
 
 @pytest.fixture
-def drawn(monkeypatch):
+def drawn(monkeypatch, unwritten):
     """Figures are not drawn; what their panels would show is kept by figure, region and error."""
     figures = []
 
@@ -50,7 +51,6 @@ def drawn(monkeypatch):
         return len(figures) - 1
 
     monkeypatch.setattr(alpha_regions, "panel_grid", pretend)
-    monkeypatch.setattr(alpha_regions, "save_figure", lambda figure, stem: [stem.with_name(f"{stem.name}.png")])
     return figures
 
 
@@ -65,7 +65,8 @@ def test_there_are_three_figures_and_a_table_of_every_point(tmp_path, fake_rows,
     experiment, made = on_scenes()
     artefact = render(experiment, made, fake_rows(made, errors), tmp_path)
     assert [path.name for path in artefact.files] == [
-        *(f"{name}_synthetic.png" for name in FILES), "fig6_synthetic.csv", "fig6_band_synthetic.csv",
+        *(f"{name}_synthetic.{suffix}" for name in FILES for suffix in ("png", "pdf")),
+        "fig6_synthetic.csv", "fig6_band_synthetic.csv",
     ]  # fmt: skip
     table = pd.read_csv(tmp_path / "figures/fig6_synthetic.csv")
     assert table["part"].value_counts().to_dict() == {
@@ -98,7 +99,11 @@ def test_parts_may_be_left_out_but_not_the_main_one(tmp_path, fake_rows, drawn):
                 render(experiment, made, fake_rows(made), tmp_path)
         else:
             artefact = render(experiment, made, fake_rows(made, errors), tmp_path)
-            assert [path.name for path in artefact.files] == ["mine_synthetic.png", "mine_synthetic.csv"]
+            assert [path.name for path in artefact.files] == [
+                "mine_synthetic.png",
+                "mine_synthetic.pdf",
+                "mine_synthetic.csv",
+            ]
             panel = drawn[0]["panels"]["grove2_A", "aae"]
             assert (panel.band, panel.published) == (None, None)
 

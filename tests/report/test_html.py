@@ -126,7 +126,7 @@ def results(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def report(results) -> Path:
-    return html.write_report(results, SETTINGS, small=True)
+    return html.write_report(Sources(results, SETTINGS, small=True))
 
 
 @pytest.fixture(scope="module")
@@ -193,7 +193,7 @@ def test_equal_stores_give_equal_bytes(results, report, tmp_path):
     for folder in ("private", "runs/flows"):
         shutil.copytree(results / folder, other / folder)
     fill(other, made_up(Sources(other, SETTINGS, small=True).get("table2"))[::-1])
-    assert html.write_report(other, SETTINGS, small=True).read_bytes() == report.read_bytes()
+    assert html.write_report(Sources(other, SETTINGS, small=True)).read_bytes() == report.read_bytes()
 
 
 def test_what_is_missing_is_said_with_its_command(page):
@@ -227,7 +227,7 @@ def test_failed_points_are_said(tmp_path):
 def test_a_folder_that_cannot_be_used_is_said(tmp_path):
     (tmp_path / "runs").write_text("in the way")
     with pytest.raises(InputError, match=r"results folder .* cannot be created"):
-        html.write_report(tmp_path, SETTINGS, small=True)
+        html.write_report(Sources(tmp_path, SETTINGS, small=True))
 
 
 # -- verdicts ------------------------------------------------------------------------------------

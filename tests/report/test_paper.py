@@ -16,7 +16,7 @@ from fracbench.harness import plan as plan_module
 from fracbench.harness.experiment import Experiment, load_experiment
 from fracbench.harness.plan import plan_experiment
 from fracbench.model.params import FlowParams
-from fracbench.report import figures, pictures, style
+from fracbench.report import figures, pictures
 from fracbench.report.artefacts import render
 from fracbench.report.paper import parameter_table
 
@@ -24,7 +24,8 @@ SCENES = ["dataset=synthetic"]
 
 
 def files(folder: Path) -> list[str]:
-    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
+    """Files below a folder, without the records of what was drawn."""
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("[!.]*") if path.is_file())
 
 
 def on_scenes(name: str, **options):
@@ -154,7 +155,7 @@ def test_table_1_is_written_three_ways_under_one_name_whatever_the_data(tmp_path
 
 
 @pytest.fixture
-def shown(monkeypatch):
+def shown(monkeypatch, unwritten):
     """Frames are not drawn but listed."""
     calls = []
 
@@ -163,7 +164,6 @@ def shown(monkeypatch):
         return "a figure"
 
     monkeypatch.setattr(pictures, "frame_panel", pretend)
-    monkeypatch.setattr(style, "save_figure", lambda figure, stem: [stem.with_name(f"{stem.name}.png")])
     return calls
 
 
@@ -219,7 +219,7 @@ def test_figure_5_takes_the_scenes_as_a_whole(tmp_path, shown):
 
 
 @pytest.fixture
-def drawn(monkeypatch):
+def drawn(monkeypatch, unwritten):
     """Families are not drawn but listed."""
     calls = []
 
@@ -228,7 +228,6 @@ def drawn(monkeypatch):
         return "a figure"
 
     monkeypatch.setattr(figures, "line_family", pretend)
-    monkeypatch.setattr(style, "save_figure", lambda figure, stem: [stem.with_name(f"{stem.name}.png")])
     return calls
 
 
@@ -249,7 +248,8 @@ def test_a_family_has_a_figure_a_protocol_and_a_table_of_all_its_points(
 ):
     experiment, made = on_scenes(name)
     artefact = render(experiment, made, fake_rows(made, bowl), tmp_path)
-    names = [f"{name}_{protocol}_synthetic.png" for protocol in ("reference", "published", "as_printed")]
+    kinds = ("reference", "published", "as_printed")
+    names = [f"{name}_{protocol}_synthetic.{suffix}" for protocol in kinds for suffix in ("png", "pdf")]
     assert [path.name for path in artefact.files] == [*names, f"{name}_synthetic.csv"]
     table = pd.read_csv(tmp_path / f"figures/{name}_synthetic.csv")
     methods, members, places = axes

@@ -14,7 +14,7 @@ from fracbench.harness.assets import asset
 from fracbench.harness.experiment import load_experiment
 from fracbench.harness.plan import plan_experiment
 from fracbench.model.spectra import jacobi_limit
-from fracbench.report import artefacts, style
+from fracbench.report import artefacts
 from fracbench.report.protocol_study import protocol_study, switch_sentences, switch_table
 from fracbench.report.solver_study import (
     printed_alphas,
@@ -217,7 +217,7 @@ def test_panels_show_spectra_and_errors():
     assert len(counts.lines) == 4 and np.isnan(counts.lines[0].get_ydata()[-1])
     assert [ax.get_title() for ax in (grove, urban)] == ["grove2_A", "urban3_A"]
     verticals = {line.get_label(): line.get_xdata()[0] for line in urban.lines if len(line.get_xdata()) == 2}
-    assert verticals == {"Jacobi diverges beyond": summary["limit"][1], "best in the paper": 1.5}
+    assert verticals == {"u-system alone: Jacobi diverges beyond": summary["limit"][1], "best in the paper": 1.5}
     curve = next(line for line in grove.lines if line.get_label() == "exact")
     part = made[(made["region"] == "grove2_A") & (made["u_solver"] == "exact")]
     np.testing.assert_allclose(curve.get_ydata(), part["aepe"])
@@ -241,21 +241,11 @@ def test_options_of_the_study_are_checked(options):
 # -- files -----------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def undrawn(monkeypatch):
-    """Figures are made but not written, which takes seconds; their names are listed all the same."""
-
-    def names(figure, stem):
-        return [stem.with_name(f"{stem.name}.{suffix}") for suffix in ("png", "pdf")]
-
-    monkeypatch.setattr(style, "save_figure", names)
-
-
 def small_plan(experiment):
     return plan_experiment(experiment.grids, ["dataset=synthetic"], allow_download=False, small=True)
 
 
-def test_the_protocol_study_leaves_its_files(tmp_path, fake_rows, undrawn):
+def test_the_protocol_study_leaves_its_files(tmp_path, fake_rows, unwritten):
     experiment = load_experiment("protocol_study")
     plan = small_plan(experiment)
     artefact = protocol_study(experiment, plan, fake_rows(plan), tmp_path)
@@ -273,7 +263,7 @@ def test_the_protocol_study_leaves_its_files(tmp_path, fake_rows, undrawn):
     )
 
 
-def test_the_solver_study_leaves_its_files(tmp_path, fake_rows, undrawn):
+def test_the_solver_study_leaves_its_files(tmp_path, fake_rows, unwritten):
     options = {"size": 6, "alpha_step": 1.0, "tol": 1e-3, "limit": 20}
     experiment = dataclasses.replace(load_experiment("solver_study"), options=options)
     plan = small_plan(experiment)

@@ -1,0 +1,208 @@
+"""What a YAML file of the project may hold: keys and types that are known, and nothing that could run code.
+
+Hydra reads more out of a configuration than values: ``hydra.searchpath`` may name a Python package, which is
+imported, and ``_target_`` names something to be called. Neither has a place here: the files are data.
+"""
+
+from __future__ import annotations
+
+import re
+import reprlib
+import types
+import typing
+from collections.abc import Collection, Iterator, Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+from fracbench.errors import InputError, unknown_name
+
+T = TypeVar("T")
+
+_NAME = re.compile(r"[A-Za-z0-9]\w*(?:[.+-]\w+)*", re.ASCII)
+_LONGEST = 80
+_PACKAGE = re.compile(r"^\s*#\s*@package\s+(?!_global_\s*$)(\S.*)", re.MULTILINE)
+_SPECIAL = re.compile(r"hydra|_\w+_")
+_WORDS = {
+    str: "a text",
+    int: "a whole number",
+    float: "a number",
+    bool: "true or false",
+    types.NoneType: "null",
+    tuple: "a list",
+}
+
+
+def require_name(value: Any, what: str, where: str) -> str:
+    """Return a name that may become part of a file's name: it cannot lead out of a folder.
+
+    Parameters
+    ----------
+    value : any
+        What was given.
+    what : str
+        What the name stands for.
+    where : str
+        The place, for the message.
+
+    Returns
+    -------
+    str
+        The name.
+
+    Raises
+    ------
+    InputError
+        It is no text, too long, or has other characters than letters, digits and ``_ . + -`` between them.
+    """
+    if not isinstance(value, str) or not _NAME.fullmatch(value) or len(value) > _LONGEST:
+        rule = f"a name of letters, digits, _, -, + and . (at most {_LONGEST})"
+        raise InputError(f"{where}: {what} must be {rule}, got {_short(value)}")
+    return value
+
+
+def mapping(raw: Any, where: str, allowed: Collection[str] | None = None) -> dict[str, Any]:
+    """Return a section of a file, whose keys are texts and, if `allowed` is given, among those.
+
+    Raises
+    ------
+    InputError
+        It is none; an unknown key (the nearest is offered).
+    """
+    if not isinstance(raw, Mapping):
+        keys = f" with the keys {', '.join(sorted(allowed))}" if allowed else ""
+        raise InputError(f"{where}: must be a mapping{keys}, got {_short(raw)}")
+    for key in raw:
+        if not isinstance(key, str):
+            raise InputError(f"{where}: the key {key!r} is no text")
+        if allowed is not None and key not in allowed:
+            raise unknown_name("key", key, allowed, where)
+    return dict(raw)
+
+
+def record(kind: type[T], raw: Any, where: str) -> T:
+    """Make a typed record out of a section of a file.
+
+    Parameters
+    ----------
+    kind : type
+        A dataclass, whose annotations say which type each key has.
+    raw : any
+        The section.
+    where : str
+        The place, for messages.
+
+    Returns
+    -------
+    kind
+        The record.
+
+    Raises
+    ------
+    InputError
+        An unknown or missing key, a value of another type, or one that `kind` refuses.
+    """
+    hints = typing.get_type_hints(kind)
+    values = mapping(raw, where, hints)
+    for key, value in values.items():
+        options = typing.get_args(hints[key]) if isinstance(hints[key], types.UnionType) else (hints[key],)
+        if not any(_is(value, hint) for hint in options):
+            wanted = " or ".join(map(_word, options))
+            raise InputError(f"{where}: `{key}` must be {wanted}, got {_short(value)}")
+    try:
+        return kind(**values)
+    except TypeError as exc:
+        raise InputError(f"{where}: {exc}") from exc
+
+
+def _is(value: Any, hint: Any) -> bool:
+    """Tell whether a value out of YAML is of an annotated type: a list stands for a tuple, 1 for 1.0."""
+    kind, items = typing.get_origin(hint) or hint, typing.get_args(hint)
+    if kind is Any:
+        return True
+    if kind is float:
+        return isinstance(value, int | float) and not isinstance(value, bool)
+    if kind is int:
+        return isinstance(value, int) and not isinstance(value, bool)
+    if kind is list:
+        return isinstance(value, list) and all(_is(item, items[0]) for item in value)
+    if kind is tuple:
+        return isinstance(value, list | tuple)
+    return isinstance(value, kind)
+
+
+def _word(hint: Any) -> str:
+    kind, items = typing.get_origin(hint) or hint, typing.get_args(hint)
+    if kind is list:
+        return f"a list, each item {_word(items[0])}"
+    return _WORDS[kind]
+
+
+def refuse_code(folder: Path) -> None:
+    """Read every YAML file below a folder as plain data and refuse what Hydra would act upon.
+
+    Parameters
+    ----------
+    folder : Path
+        A configuration for Hydra.
+
+    Raises
+    ------
+    InputError
+        A file that is not YAML in UTF-8 or no mapping; ``hydra`` or a key such as ``_target_`` anywhere in it;
+        another package than ``_global_``.
+    """
+    for path in sorted(folder.rglob("*.yaml")):
+        state = path.stat()
+        _refuse_code(path, state.st_mtime_ns, state.st_size)
+
+
+@lru_cache(maxsize=1024)
+def _refuse_code(path: Path, *_: int) -> None:
+    import yaml
+
+    try:
+        text = path.read_text(encoding="utf-8")
+        raw = yaml.safe_load(text)
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError) as exc:
+        raise InputError(f"{path}: cannot be read as YAML: {' '.join(str(exc).split())}") from exc
+    package = _PACKAGE.search(text)
+    if package:
+        raise InputError(f"{path}: the package must be _global_, got {package[1].strip()!r}")
+    if raw is None:
+        return
+    _refuse_aliases(raw, str(path), set())
+    for word in _words(mapping(raw, str(path))):
+        if _SPECIAL.fullmatch(word.strip("/ ").partition("/")[0]):
+            raise InputError(f"{path}: {word!r} is not allowed: a configuration is data and runs no code")
+
+
+def _refuse_aliases(raw: Any, where: str, seen: set[int]) -> None:
+    """Refuse a list or mapping that stands in two places: a few nested ones are more than memory holds."""
+    if not isinstance(raw, Mapping | list):
+        return
+    if id(raw) in seen:
+        raise InputError(f"{where}: aliases (&NAME, *NAME) of lists and mappings are not allowed; write them out")
+    seen.add(id(raw))
+    for item in raw.values() if isinstance(raw, Mapping) else raw:
+        _refuse_aliases(item, where, seen)
+
+
+def _short(value: Any) -> str:
+    """Return a value on one line, cut short where it is long or deep."""
+    short = reprlib.Repr()
+    short.maxstring = short.maxother = 100
+    return short.repr(value)
+
+
+def _words(raw: Any) -> Iterator[str]:
+    """Yield every key, and every entry of a list, which for Hydra may be a key as well."""
+    if isinstance(raw, Mapping):
+        for key, value in raw.items():
+            yield str(key).removeprefix("override ")
+            yield from _words(value)
+    elif isinstance(raw, list):
+        for item in raw:
+            if isinstance(item, str) and item != "_self_":
+                yield item
+            yield from _words(item)

@@ -1,0 +1,100 @@
+"""What an experiment's ``options`` may hold, by the artefact that reads them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from fracbench.errors import InputError
+from fracbench.harness.experiment import Experiment
+from fracbench.harness.schema import record
+
+
+@dataclass(frozen=True)
+class Nothing:
+    """For artefacts without options."""
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Of ``frames``: names of sequences."""
+
+    sequences: list[str] | None = None
+
+
+@dataclass(frozen=True)
+class RegionBoxes:
+    """Of ``region_boxes``: names of regions."""
+
+    regions: list[str] | None = None
+
+
+@dataclass(frozen=True)
+class Family:
+    """Of ``family``: see `fracbench.report.paper.family`."""
+
+    x: str | None = None
+    family: str | None = None
+    styles: list[str] | None = None
+    shade: list[float] | None = None
+    logx: bool = False
+
+    def __post_init__(self) -> None:
+        if self.shade is not None and len(self.shade) != 2:
+            raise InputError(f"option 'shade' must be two numbers, got {self.shade}")
+
+
+@dataclass(frozen=True)
+class AlphaRegions:
+    """Of ``alpha_regions``: what the captions say, by region."""
+
+    paper: Any = None  # checked where it is read, with the regions at hand
+
+
+@dataclass(frozen=True)
+class SolverStudy:
+    """Of ``solver_study``: the size of its systems and where its sweeps end."""
+
+    size: int | None = None
+    alpha_step: float | None = None
+    tol: float | None = None
+    limit: int | None = None
+
+
+@dataclass(frozen=True)
+class Convergence:
+    """Of ``convergence``: what is solved, and where the solvers stop."""
+
+    region: str | None = None
+    alphas: list[float] | None = None
+    gap: float | None = None
+    last_gap: float | None = None
+    seconds: float | None = None
+    iterations: int | None = None
+
+
+_BY_ARTEFACT: dict[str, type] = {
+    "convergence": Convergence,
+    "frames": Frames,
+    "region_boxes": RegionBoxes,
+    "family": Family,
+    "alpha_regions": AlphaRegions,
+    "solver_study": SolverStudy,
+}
+
+
+def require_options(experiment: Experiment) -> None:
+    """Refuse options that the artefact does not know, or of another type.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The experiment.
+
+    Raises
+    ------
+    InputError
+        An unknown option (the nearest is offered), or a value of another type.
+    """
+    kind = _BY_ARTEFACT.get(experiment.artefact, Nothing)
+    record(kind, experiment.options, f"experiment {experiment.name}, options")
