@@ -38,6 +38,7 @@ class Family:
     styles: list[str] | None = None
     shade: list[float] | None = None
     logx: bool = False
+    logy: bool = False
 
     def __post_init__(self) -> None:
         if self.shade is not None and len(self.shade) != 2:
@@ -71,6 +72,7 @@ class Convergence:
     last_gap: float | None = None
     seconds: float | None = None
     iterations: int | None = None
+    reference_iterations: int | None = None
 
 
 _BY_ARTEFACT: dict[str, type] = {
