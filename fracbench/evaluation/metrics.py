@@ -86,12 +86,13 @@ def flow_errors(flow: Any, truth: Any, mask: Any = None) -> FlowErrors:
         raise InputError(
             f"no pixel to score: the mask holds {int(wanted.sum())}, {n_unknown} of unknown true flow"
         )
-    n_nonfinite = int((~np.isfinite(flow[:, scored])).any(axis=0).sum())
+    estimate, true = flow[:, scored], truth[:, scored]
+    n_nonfinite = int((~np.isfinite(estimate)).any(axis=0).sum())
     if n_nonfinite:
         return FlowErrors(math.nan, math.nan, math.nan, n_pixels, n_unknown, n_nonfinite)
-    angles = _angles(flow[:, scored], truth[:, scored])
+    angles = _angles(estimate, true)
     with np.errstate(over="ignore"):
-        aepe = float(_distances(flow[:, scored], truth[:, scored]).mean())
+        aepe = float(_distances(estimate, true).mean())
     return FlowErrors(float(angles.mean()), aepe, float(angles.std()), n_pixels, n_unknown, 0)
 
 
