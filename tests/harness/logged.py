@@ -6,6 +6,7 @@ each point takes SECONDS longer than it would.
 
 from __future__ import annotations
 
+import signal
 import sys
 from pathlib import Path
 
@@ -33,5 +34,7 @@ def install(log: Path, seconds: float) -> None:
 
 
 if __name__ == "__main__":
+    # Tests that were started in the background inherit a Ctrl-C that is ignored.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     install(Path(sys.argv[1]), float(sys.argv[2]))
     sys.exit(main(sys.argv[3:]))
