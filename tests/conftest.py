@@ -14,6 +14,7 @@ from fracbench.data.synthetic import scene
 from fracbench.errors import DataError
 from fracbench.harness import regression, tolerances
 from fracbench.harness.store import Row
+from fracbench.model import SOLVER_VERSION
 from fracbench.report import drawing, style
 
 
@@ -162,7 +163,7 @@ def fake_rows():
                 "key": planned.point.key,
                 "identity": planned.point.identity,
                 "spec": planned.point.spec,
-                "solver_version": 1,
+                "solver_version": SOLVER_VERSION,
                 "status": status,
                 "result": result if status == "done" else {},
                 "error": None if status == "done" else "made up",

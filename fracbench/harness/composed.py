@@ -38,6 +38,8 @@ def remembered(folder: Path, choices: tuple[tuple[str, str], ...], compose: Call
     with suppress(OSError, ValueError):
         return json.loads(path.read_text(encoding="utf-8"))
     composed = compose()
+    if json.loads(json.dumps(composed)) != composed:
+        return composed  # a key that is no text, for one: whoever checks the composition must see it every time
     with suppress(OSError, InputError):
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_path(path) as temporary:

@@ -5,11 +5,11 @@
 
 from __future__ import annotations
 
-import pickle
 import sys
 import tempfile
 import time
 from dataclasses import dataclass
+from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from statistics import mean
 
@@ -70,7 +70,7 @@ def write_seconds(rows: list[Row]) -> tuple[float, float]:
 def message_bytes(plan: Plan, row: Row) -> tuple[int, int]:
     """Return the bytes that go to a worker with a point, and that come back."""
     key, point = next(iter(plan.unique().items()))
-    return len(pickle.dumps(Job(key, point, 1, SOLVER_VERSION, provenance.commit()))), len(row.to_json())
+    return len(ForkingPickler.dumps(Job(key, point, 1, SOLVER_VERSION, provenance.commit()))), len(row.to_json())
 
 
 def hours(n_points: int, workers: int, point: float, overhead: float, parent: float) -> float:

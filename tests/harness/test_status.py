@@ -10,6 +10,7 @@ from fracbench.harness import execute, plan
 from fracbench.harness.plan import plan_experiment
 from fracbench.harness.status import standing
 from fracbench.harness.store import Store
+from fracbench.model import SOLVER_VERSION
 
 POINTS = (
     "sequence=synthetic_flat",
@@ -57,7 +58,7 @@ def test_every_point_is_counted_once(mini, fake_rows, monkeypatch):
         monkeypatch.setattr(module, "SOLVER_VERSION", 99)
     found = stand()
     assert (found.points, found.done, found.failed, found.stale, found.missing) == (5, 0, 0, 3, 2)
-    assert found.why == {"new": 2, "solver version 1 -> 99": 3}
+    assert found.why == {"new": 2, f"solver version {SOLVER_VERSION} -> 99": 3}
 
 
 def test_data_that_changed_make_points_stale(mini, fake_rows, monkeypatch):

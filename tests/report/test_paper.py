@@ -186,8 +186,8 @@ def test_figure_1_shows_the_sequences_in_the_papers_order(tmp_path, shown):
 def test_figure_1_shows_middleburys_frames_in_colour(tmp_path, shown, middlebury):
     experiment = load_experiment("fig1")
     made = plan_experiment(experiment.grids, ["dataset=middlebury", f"paths.data={middlebury}"])
-    (path,) = render(experiment, made, {}, tmp_path).files
-    assert path == tmp_path / "private" / "fig1.png"
+    paths = render(experiment, made, {}, tmp_path).files
+    assert paths == [tmp_path / "private" / "fig1.png", tmp_path / "private" / "fig1.pdf"]
     assert [title for title, _ in shown[0][0]][:2] == ["Venus", "Urban2"]
     assert shown[0][0][0][1].shape == (380, 420, 3)
 
