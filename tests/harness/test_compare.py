@@ -14,6 +14,7 @@ from fracbench.harness.compare import compare_sides, label_points, open_side
 from fracbench.harness.plan import make_plan
 from fracbench.harness.store import Store
 from fracbench.harness.tolerances import MEASURED, Tolerance, Tolerances
+from fracbench.model import SOLVER_VERSION
 
 TOLERANCES = Tolerances({column: Tolerance(1e-6, 1e-3, "measured", "rounding") for column in MEASURED})
 POINTS = ["sequence=synthetic_flat", "method=tvl1_sb_alpha", "alpha=0.5,1"]
@@ -84,7 +85,8 @@ def test_the_rows_of_one_commit(stores):
     with Store(store) as both:
         for row in both.rows():
             both.put(replace(row, key=f"b{row.key}", provenance={"commit": "b" * 40}, result={"aepe": 0.9}))
-    assert open_side(f"{store}@aaaa").title == f"store {store} of commit aaaa: 2 points, solver version 1"
+    of_commit = open_side(f"{store}@aaaa").title
+    assert of_commit == f"store {store} of commit aaaa: 2 points, solver version {SOLVER_VERSION}"
     assert differences(f"{store}@aaaa", stores("c.sqlite")) == []
     assert differences(f"{store}@aaaa", f"{store}@bbbb") != []
     with pytest.raises(
@@ -185,8 +187,8 @@ def test_the_command_says_what_it_compares_and_leaves_with_1_where_they_differ(c
     same = cli("compare", first, second)
     assert same.code == 0
     lines = same.out.splitlines()
-    assert lines[0] == f"stored: store {first}: 2 points, solver version 1"
-    assert lines[1] == f"found: store {second}: 2 points, solver version 1"
+    assert lines[0] == f"stored: store {first}: 2 points, solver version {SOLVER_VERSION}"
+    assert lines[1] == f"found: store {second}: 2 points, solver version {SOLVER_VERSION}"
     assert lines[2].startswith("allowed for aae: 1e-06 + ")
     assert lines[-1] == "points: agree (14 cells compared)"
     other = cli("compare", first, third)
