@@ -78,6 +78,34 @@ def dense_gradient(boundary, alpha, shape, pad=0):
     ]
 
 
+def denoising_bounds(pairs, limits, v, theta, iterations=1500):
+    """Bracket the minimum of sum_p limit_p |D_p u| + |u - v|^2 / (2 theta) by FISTA on the dense dual.
+
+    max over |p| <= limit of (|v|^2 - |v - theta K^T p|^2) / (2 theta): the value at any feasible p is a
+    lower bound, the primal energy at u = v - theta K^T p an upper one. `limits` has one entry a pair, a
+    number or one for each pixel.
+    """
+    k = np.concatenate([m for pair in pairs for m in pair])
+    limits = np.stack([np.broadcast_to(limit, len(pairs[0][0])) for limit in limits])[:, None]
+    slope = theta * np.linalg.norm(k, 2) ** 2
+    v = v.ravel()
+
+    def norms(p):
+        return np.linalg.norm(p.reshape(len(pairs), 2, -1), axis=1, keepdims=True)
+
+    p, q, t = np.zeros(len(k)), np.zeros(len(k)), 1.0
+    for _ in range(iterations):
+        ascended = q + k @ (v - theta * k.T @ q) / slope
+        inside = np.minimum(1.0, limits / np.maximum(norms(ascended), 1e-300))
+        new = (ascended.reshape(len(pairs), 2, -1) * inside).ravel()
+        t_new = (1.0 + math.sqrt(1.0 + 4.0 * t * t)) / 2.0
+        p, q, t = new, new + (t - 1.0) / t_new * (new - p), t_new
+    u = v - theta * k.T @ p
+    lower = (v @ v - u @ u) / (2.0 * theta)
+    upper = (limits * norms(k @ u)).sum() + (u - v) @ (u - v) / (2.0 * theta)
+    return lower, upper
+
+
 def dense_normal(boundary, alpha, shape, pad=0):
     """weight * sum_pairs (Dx^T Dx + Dy^T Dy), dense; each of two pairs weighs 1/2."""
     pairs = dense_gradient(boundary, alpha, shape, pad)

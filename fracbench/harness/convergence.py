@@ -141,8 +141,7 @@ class _Run:
         self.u = problem.start.astype(dtype)
         self._after = np.empty_like(self.u)
         self._linear = Linearization(*(array.astype(dtype) for array in problem.linear))
-        height, width = self.u.shape[1:]
-        self._regularizer = split_bregman_alpha(params, (height, width), dtype)
+        self._regularizer = split_bregman_alpha(params, self._linear.rho_c)
         self._v_step = v_step(self.u, params)
 
     def step(self) -> int:

@@ -38,28 +38,34 @@ def v_step(like: Array, params: FlowParams) -> VStep:
     return MultiplierStep(like, params) if params.coupling == "multiplier" else PenaltyStep(like, params)
 
 
-def _tv_dual(params: FlowParams, shape: tuple[int, int], dtype: np.dtype) -> Regularizer:
-    return TVDual(shape, params.theta, params.tau, dtype)
+def _tv_dual(params: FlowParams, frame0: Array) -> Regularizer:
+    return TVDual(_shape(frame0), params.theta, params.tau, frame0.dtype)
 
 
-def _split_bregman(params: FlowParams, shape: tuple[int, int], dtype: np.dtype) -> Regularizer:
-    return _bregman(_natural(params, shape, dtype), params)
+def _split_bregman(params: FlowParams, frame0: Array) -> Regularizer:
+    return split_bregman(_natural(params, frame0), params)
 
 
-def split_bregman_alpha(params: FlowParams, shape: tuple[int, int], dtype: np.dtype) -> Regularizer:
-    """Return the u-step of Algorithm 4 that `params` ask for, for a scale of this shape."""
-    return _bregman(_fractional(params, shape, dtype), params)
+def split_bregman_alpha(params: FlowParams, frame0: Array) -> Regularizer:
+    """Return the u-step of Algorithm 4 that `params` ask for, for a scale of which this is frame 0."""
+    return split_bregman(_fractional(params, frame0), params)
 
 
-def _natural(params: FlowParams, shape: tuple[int, int], dtype: np.dtype) -> GradientOperator:
-    return NaturalGradient(1.0, shape, dtype)
+def _natural(params: FlowParams, frame0: Array) -> GradientOperator:
+    return NaturalGradient(1.0, _shape(frame0), frame0.dtype)
 
 
-def _fractional(params: FlowParams, shape: tuple[int, int], dtype: np.dtype) -> GradientOperator:
-    return make_operator(params.boundary, params.alpha, shape, dtype, params.pad)
+def _fractional(params: FlowParams, frame0: Array) -> GradientOperator:
+    return make_operator(params.boundary, params.alpha, _shape(frame0), frame0.dtype, params.pad)
 
 
-def _bregman(operator: GradientOperator, params: FlowParams) -> SplitBregman:
+def _shape(image: Array) -> tuple[int, int]:
+    height, width = image.shape
+    return height, width
+
+
+def split_bregman(operator: GradientOperator, params: FlowParams) -> SplitBregman:
+    """Return the u-step that `params` ask for, with this gradient."""
     multiplier = params.coupling == "multiplier"
     return SplitBregman(
         operator,
@@ -103,7 +109,7 @@ def energy_growth(name: str, frame0: Array, frame1: Array, flow: Array, params: 
         return None
     dtype = np.dtype(params.dtype)
     first, second = pyramid.stretch(frame0, frame1, dtype)
-    operator = _GRADIENTS[name](params, first.shape, dtype)
+    operator = _GRADIENTS[name](params, first)
     before = params.lambda_ * float(np.abs(second - first).sum(dtype=np.float64))
     with np.errstate(over="ignore", invalid="ignore"):
         after = sum(regularity(operator, component) for component in np.asarray(flow, dtype))

@@ -24,8 +24,10 @@ def regularity(operator: GradientOperator, u: Array) -> float:
     float
         Summed in float64.
     """
-    d = operator.apply(u)
-    return operator.weight * float(np.sqrt(np.square(d, dtype=np.float64).sum(axis=1)).sum())
+    norms = np.sqrt(np.square(operator.apply(u), dtype=np.float64).sum(axis=1))
+    if operator.pixel_weights is not None:
+        norms *= np.repeat(operator.pixel_weights, operator.pairs // len(operator.pixel_weights), axis=0)
+    return operator.weight * float(norms.sum())
 
 
 def coupling(u: Array, v: Array, theta: float) -> float:

@@ -14,7 +14,7 @@ from fracbench.model.params import FlowParams
 from fracbench.model.regularizers import Regularizer
 from fracbench.model.solver import LevelReport, PenaltyStep, Stopwatch, VStep, solve_level
 
-RegularizerFactory = Callable[[FlowParams, tuple[int, int], np.dtype], Regularizer]
+RegularizerFactory = Callable[[FlowParams, Array], Regularizer]
 VStepFactory = Callable[[Array, FlowParams], VStep]
 
 
@@ -84,7 +84,7 @@ def coarse_to_fine(
     params : FlowParams
         Parameters.
     make_regularizer : callable
-        Gives the u-step for a scale.
+        Gives the u-step for a scale, from frame 0 at that scale: of its shape, in its precision.
     make_v_step : callable, optional
         Gives the v-step for a scale: the paper's by default.
     method : str, optional
@@ -116,7 +116,7 @@ def coarse_to_fine(
     for s in reversed(range(len(shapes))):
         if s < len(shapes) - 1:
             flow = pyramid.upsample_flow(flow, shapes[s], params.upsample_gain)
-        regularizer = make_regularizer(params, shapes[s], dtype)
+        regularizer = make_regularizer(params, pyramids[0][s])
         watch.lap("setup")
         v_step = make_v_step(flow, params)
         flow, report = solve_level(

@@ -1,7 +1,8 @@
 """Fractional gradients of Gruenwald-Letnikov type under three boundary rules (sections 2 and 3.2 of the paper).
 
 An operator maps an image ``u`` of shape ``(H, W)`` to ``pairs`` of (x, y) derivatives of shape
-``(pairs, 2, h, w)`` and stands for the regulariser ``R(u) = weight * sum_pairs sum_pixels |D_pair u|``.
+``(pairs, 2, h, w)`` and stands for the regulariser ``R(u) = weight * sum_pairs sum_pixels |D_pair u|``, where
+`MappedGradient` (`fracbench.model.mapped`) gives the norms weights that vary from pixel to pixel.
 Each knows its exact adjoint and the basis in which its normal operator
 ``weight * sum_pairs D_pair^T D_pair`` is the sum of two diagonals, one an axis: that is what makes the
 u-step a division.
@@ -45,12 +46,15 @@ class GradientOperator(ABC):
         Number of (x, y) pairs of derivatives.
     weight : float
         Weight of each pair in the regulariser.
+    pixel_weights : ndarray, shape (K, h, w), or None
+        Factors on the norms, each plane for ``pairs / K`` consecutive pairs; None for 1 everywhere.
     range_shape : tuple of int
         Shape of ``apply(u)``.
     """
 
-    pairs: ClassVar[int] = 1
+    pairs: int = 1
     weight: ClassVar[float] = 1.0
+    pixel_weights: Array | None = None
 
     def __init__(self, alpha: float, shape: tuple[int, int], dtype: np.dtype | type = np.float64) -> None:
         self.alpha = float(alpha)

@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import math
+from typing import Any
+
+import numpy as np
+from numba import types
+from numba.extending import overload
 
 from fracbench.model._jit import jit
 from fracbench.model.arrays import Array
@@ -118,8 +123,35 @@ def coupled_threshold(
             target[1, i, j] = z2 + 2.0 * move * gy
 
 
+def weight_at(weights: Any, pair: int, pairs: int, i: int, j: int) -> Any:
+    """Return the weight of a pair of derivatives at a pixel.
+
+    Parameters
+    ----------
+    weights : float or ndarray, shape (K, h, w)
+        One weight for all, or planes each of which serves ``pairs / K`` consecutive pairs.
+    pair, pairs : int
+        Which of how many.
+    i, j : int
+        Row and column.
+
+    Returns
+    -------
+    float
+        The weight.
+    """
+    return weights[pair * len(weights) // pairs, i, j] if isinstance(weights, np.ndarray) else weights
+
+
+@overload(weight_at, strict=False)
+def _compile_weight_at(weights: Any, pair: Any, pairs: Any, i: Any, j: Any) -> Any:
+    if isinstance(weights, types.Array):
+        return lambda weights, pair, pairs, i, j: weights[pair * len(weights) // pairs, i, j]
+    return lambda weights, pair, pairs, i, j: weights
+
+
 @jit
-def shrink_difference(z: Array, threshold: float, w: Array, start: int, stop: int) -> None:
+def shrink_difference(z: Array, threshold: Any, w: Array, start: int, stop: int) -> None:
     """Write ``d - b``, what the u-step needs, for ``d = shrink(z, threshold)`` and ``b = z - d``.
 
     The shrinkage is isotropic: each (x, y) pair by its euclidean norm, shrink(0) = 0; equation (shrinkalpha).
@@ -129,8 +161,8 @@ def shrink_difference(z: Array, threshold: float, w: Array, start: int, stop: in
     ----------
     z : ndarray, shape (pairs, 2, h, w)
         ``D u + b``.
-    threshold : float
-        ``1 / mu``.
+    threshold : float or ndarray, shape (K, h, w)
+        ``1 / mu``; see `weight_at` for an array.
     w : ndarray, shape (pairs, 2, h, w)
         Output.
     start, stop : int
@@ -142,21 +174,22 @@ def shrink_difference(z: Array, threshold: float, w: Array, start: int, stop: in
             for j in range(width):
                 zx, zy = z[p, 0, i, j], z[p, 1, i, j]
                 norm = math.sqrt(zx * zx + zy * zy)
-                kept = 1.0 if norm <= threshold else threshold / norm
+                limit = weight_at(threshold, p, pairs, i, j)
+                kept = 1.0 if norm <= limit else limit / norm
                 w[p, 0, i, j] = (1.0 - 2.0 * kept) * zx
                 w[p, 1, i, j] = (1.0 - 2.0 * kept) * zy
 
 
 @jit
-def bregman_update(du: Array, threshold: float, relaxation: float, z: Array, start: int, stop: int) -> None:
+def bregman_update(du: Array, threshold: Any, relaxation: float, z: Array, start: int, stop: int) -> None:
     """Update ``z <- D u + b``, the state of split Bregman: d and b follow from it (`shrink_difference`).
 
     Parameters
     ----------
     du : ndarray, shape (pairs, 2, h, w)
         Derivatives of u.
-    threshold : float
-        ``1 / mu``.
+    threshold : float or ndarray, shape (K, h, w)
+        ``1 / mu``; see `weight_at` for an array.
     relaxation : float
         In place of D u takes ``relaxation D u + (1 - relaxation) d``, with the last d; 1 for none.
     z : ndarray, shape (pairs, 2, h, w)
@@ -171,7 +204,8 @@ def bregman_update(du: Array, threshold: float, relaxation: float, z: Array, sta
             for j in range(width):
                 zx, zy = z[p, 0, i, j], z[p, 1, i, j]
                 norm = math.sqrt(zx * zx + zy * zy)
-                kept = 1.0 if norm <= threshold else threshold / norm
+                limit = weight_at(threshold, p, pairs, i, j)
+                kept = 1.0 if norm <= limit else limit / norm
                 share = kept + rest * (1.0 - kept)  # b is kept z and d the rest of z
                 z[p, 0, i, j] = relaxation * du[p, 0, i, j] + share * zx
                 z[p, 1, i, j] = relaxation * du[p, 1, i, j] + share * zy

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import ClassVar
 
 import numpy as np
@@ -14,8 +15,8 @@ from fracbench.model.threads import share
 from fracbench.model.transforms import cosine, cosine_back, derivatives, derivatives_adjoint, multiply_sum
 
 
-class _CosineGradient(GradientOperator):
-    """What the two operators share whose normal operator the DCT-II diagonalises.
+class CosineGradient(GradientOperator):
+    """What the operators share whose normal operator the DCT-II diagonalises.
 
     All is written with SciPy's transforms but for `solve`, where the time goes: it has our own.
     """
@@ -39,6 +40,29 @@ class _CosineGradient(GradientOperator):
         ny, nx = (_from_cosine_basis(eigenvalues) for eigenvalues in self.eigenvalues())
         return ny, nx
 
+    def divide(self, in_x: Array, in_y: Array, inverse: Array) -> None:
+        """Bring both parts of the right-hand side into the basis, divide, and go back along either axis.
+
+        Parameters
+        ----------
+        in_x, in_y : ndarray, shape (H, W)
+            From `collect`; overwritten by u's cosine coefficients along x and along y.
+        inverse : ndarray, shape (H, W)
+            See `solve`.
+        """
+        height, width = self.shape
+        plan_y, plan_x, one_y, one_x = self._plan_y, self._plan_x, self._one_y, self._one_x
+        share(lambda a, b: cosine(in_x, 0, a, b, one_y, plan_y, in_x), width)
+        share(lambda a, b: cosine(in_y, 1, a, b, one_x, plan_x, in_y), height)
+        multiply_sum(in_x, in_y, inverse)
+        share(lambda a, b: cosine_back(in_x, 1, a, b, one_x, plan_x, in_y), height)
+        share(lambda a, b: cosine_back(in_x, 0, a, b, one_y, plan_y, in_x), width)
+
+    def finish(self, in_x: Array, u: Array) -> None:
+        """Write u from its cosine coefficients along x; both of shape (H, W)."""
+        plan, one = self._plan_x, self._one_x
+        share(lambda a, b: cosine_back(in_x, 1, a, b, one, plan, u), self.shape[0])
+
 
 def _from_cosine_basis(eigenvalues: Float64Array) -> Float64Array:
     cosines = scipy.fft.dct(np.eye(eigenvalues.size), axis=0, norm="ortho")
@@ -49,7 +73,7 @@ def _sine_symbol(n: int) -> Float64Array:
     return 2.0 * np.sin(np.pi * np.arange(n) / (2 * n))
 
 
-class ReflectGradient(_CosineGradient):
+class ReflectGradient(CosineGradient):
     r"""Left and right derivatives of u extended evenly about the edges.
 
     On the 2n-periodic even extension the Gruenwald-Letnikov sum is the Fourier multiplier
@@ -58,7 +82,7 @@ class ReflectGradient(_CosineGradient):
     DCT and one inverse DST.
     """
 
-    pairs: ClassVar[int] = 2
+    pairs = 2
     weight: ClassVar[float] = 0.5
 
     def __init__(self, alpha: float, shape: tuple[int, int], dtype: np.dtype | type = np.float64) -> None:
@@ -84,26 +108,45 @@ class ReflectGradient(_CosineGradient):
         return along_x + along_y
 
     def solve(self, v: Array, g: Array, theta: float, mu: float, inverse: Array, u: Array, du: Array) -> None:
-        height, width = self.shape
-        plan_y, plan_x, one_y, one_x = self._plan_y, self._plan_x, self._one_y, self._one_x
-        real = self.dtype.type
-        step, direct, nothing = real(mu * self.weight), one_x / real(theta), one_x[:0]
         in_x, in_y = self._work, u  # u itself is written last
-        # The right-hand side, first along each axis alone, then both in the basis of both axes ...
-        cos_x, sin_x, cos_y, sin_y = self._cos_x, self._sin_x, self._cos_y, self._sin_y
-        to_x = step * cos_x, step * sin_x, direct, plan_x
-        to_y = step * cos_y, step * sin_y, nothing, plan_y
+        self.collect(v, g, theta, mu, in_x, in_y)
+        self.divide(in_x, in_y, inverse)
+        self.spread(in_x, in_y, du)
+        self.finish(in_x, u)
+
+    def collect(self, v: Array, g: Array, theta: float, mu: float, in_x: Array, in_y: Array) -> None:
+        """Write the right-hand side ``v / theta + mu weight D^T g``, each part along its own axis only.
+
+        Parameters
+        ----------
+        v, g, theta, mu
+            See `solve`; ``theta = inf`` leaves `v` out.
+        in_x, in_y : ndarray, shape (H, W)
+            Cosine coefficients along x of v's part and of that of g's x-derivatives, and along y of that of
+            its y-derivatives; overwritten.
+        """
+        height, width = self.shape
+        step, one = self.dtype.type(mu * self.weight), self._one_x
+        direct = one[:0] if math.isinf(theta) else one / self.dtype.type(theta)
+        to_x = step * self._cos_x, step * self._sin_x, direct, self._plan_x
+        to_y = step * self._cos_y, step * self._sin_y, one[:0], self._plan_y
         share(lambda a, b: derivatives_adjoint(g, v, 1, a, b, *to_x, in_x), height)
         share(lambda a, b: derivatives_adjoint(g, v, 0, a, b, *to_y, in_y), width)
-        share(lambda a, b: cosine(in_x, 0, a, b, one_y, plan_y, in_x), width)
-        share(lambda a, b: cosine(in_y, 1, a, b, one_x, plan_x, in_y), height)
-        # ... where the system is a division; and the same way back, to u and its derivatives.
-        multiply_sum(in_x, in_y, inverse)
-        share(lambda a, b: cosine_back(in_x, 1, a, b, one_x, plan_x, in_y), height)
-        share(lambda a, b: cosine_back(in_x, 0, a, b, one_y, plan_y, in_x), width)
-        share(lambda a, b: derivatives(in_y, 0, a, b, cos_y, sin_y, plan_y, du), width)
-        share(lambda a, b: derivatives(in_x, 1, a, b, cos_x, sin_x, plan_x, du), height)
-        share(lambda a, b: cosine_back(in_x, 1, a, b, one_x, plan_x, u), height)
+
+    def spread(self, in_x: Array, in_y: Array, du: Array) -> None:
+        """Write u's derivatives.
+
+        Parameters
+        ----------
+        in_x, in_y : ndarray, shape (H, W)
+            u's cosine coefficients along x and along y.
+        du : ndarray, shape `range_shape`
+            The derivatives, overwritten.
+        """
+        height, width = self.shape
+        to_x, to_y = (self._cos_x, self._sin_x, self._plan_x), (self._cos_y, self._sin_y, self._plan_y)
+        share(lambda a, b: derivatives(in_y, 0, a, b, *to_y, du), width)
+        share(lambda a, b: derivatives(in_x, 1, a, b, *to_x, du), height)
 
     @staticmethod
     def _derivatives(coefficients: Array, cosine: Array, sine: Array, axis: int, out: Array) -> None:
@@ -119,7 +162,7 @@ class ReflectGradient(_CosineGradient):
         return coefficients
 
 
-class NaturalGradient(_CosineGradient):
+class NaturalGradient(CosineGradient):
     """Forward differences without flux through the border: the gradient of Algorithm 3 and of TV-L1."""
 
     def apply(self, u: Array) -> Array:

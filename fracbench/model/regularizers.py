@@ -168,6 +168,8 @@ class SplitBregman:
     ) -> None:
         self.operator = operator
         self._theta, self._mu = theta, mu
+        weights = operator.pixel_weights
+        self._threshold = 1.0 / mu if weights is None else weights / weights.dtype.type(mu)
         self._solver = u_solver
         self._cold = inner == "cold"
         self._relaxation = relaxation if u_solver == "exact" and not self._cold else 1.0
@@ -220,7 +222,7 @@ class SplitBregman:
         warm : bool, optional
             Let the first step start from d = D u instead of smoothing u away, and relax the others.
         """
-        z, w, gamma, relaxation = self._z[component], self._w, 1.0 / self._mu, self._relaxation
+        z, w, gamma, relaxation = self._z[component], self._w, self._threshold, self._relaxation
         if warm and not self._started[component]:
             self._started[component] = True
             w[...] = self.operator.apply(u)  # d - b for d = D u, b = 0, a state that no z stands for

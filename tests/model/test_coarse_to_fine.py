@@ -50,8 +50,8 @@ class RecordingVStep(PenaltyStep):
 def drive(value=None, shape=(16, 40), **values):
     made, v_steps = [], []
 
-    def make(params, level_shape, dtype):
-        made.append(Recorder(level_shape, dtype, value))
+    def make(params, frame0):
+        made.append(Recorder(frame0.shape, frame0.dtype, value))
         return made[-1]
 
     def make_v_step(like, params):
@@ -96,7 +96,7 @@ def test_the_coarse_flow_is_scaled_on_its_way(gain, expected):
 
     params = FlowParams(n_warps=1, max_iter=1, upsample_gain=gain, dtype="float64")
     frames = ref.translated_pair((17, 41), (0.0, 0.0))
-    coarse_to_fine(*frames, params, lambda params, shape, dtype: Ones(shape, dtype, value=1.0))
+    coarse_to_fine(*frames, params, lambda params, frame0: Ones(frame0.shape, frame0.dtype, value=1.0))
     coarse, fine = started_from
     np.testing.assert_array_equal(coarse, np.zeros((2, 9, 21)))
     for component in range(2):

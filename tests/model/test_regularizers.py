@@ -35,32 +35,9 @@ V = steps_and_noise()
 
 @lru_cache
 def dual_bounds(boundary, alpha):
-    """Bracket the minimum of R(u) + |u - v|^2 / (2 theta) for each component, by FISTA on the dense dual.
-
-    max over |p| <= weight of (|v|^2 - |v - theta K^T p|^2) / (2 theta): the value at any feasible p is a
-    lower bound, the primal energy at u = v - theta K^T p an upper one.
-    """
+    """Bracket the minimum of R(u) + |u - v|^2 / (2 theta) for each component."""
     pairs = ref.dense_gradient(boundary, alpha, SHAPE)
-    k, weight = np.concatenate([m for pair in pairs for m in pair]), 1.0 / len(pairs)
-    slope = THETA * np.linalg.norm(k, 2) ** 2
-
-    def norms(p):
-        return np.linalg.norm(p.reshape(len(pairs), 2, -1), axis=1, keepdims=True)
-
-    bounds = []
-    for v in (component.ravel() for component in V):
-        p, q, t = np.zeros(len(k)), np.zeros(len(k)), 1.0
-        for _ in range(1500):
-            ascended = q + k @ (v - THETA * k.T @ q) / slope
-            outside = np.maximum(1.0, norms(ascended) / weight)
-            new = (ascended.reshape(len(pairs), 2, -1) / outside).ravel()
-            t_new = (1.0 + math.sqrt(1.0 + 4.0 * t * t)) / 2.0
-            p, q, t = new, new + (t - 1.0) / t_new * (new - p), t_new
-        u = v - THETA * k.T @ p
-        lower = (v @ v - u @ u) / (2.0 * THETA)
-        upper = weight * norms(k @ u).sum() + (u - v) @ (u - v) / (2.0 * THETA)
-        bounds.append((lower, upper))
-    return bounds
+    return [ref.denoising_bounds(pairs, [1.0 / len(pairs)] * len(pairs), v, THETA) for v in V]
 
 
 def denoise(regularizer, count=400, v=V):
