@@ -14,13 +14,15 @@ from typing import Any
 from fracbench.errors import InputError, unknown_name
 from fracbench.model.params import FlowParams
 
-_PYRAMID = frozenset(FlowParams.names()) - {
+# What the paper does not have: of no concern to its methods, nor to the keys of their results.
+_BEYOND = frozenset({"alpha_flat", "alpha_edge", "alpha_corner", "alpha_texture"})
+_PYRAMID = frozenset(FlowParams.names()) - _BEYOND - {
     "alpha", "boundary", "pad", "tau", "lambda_sb", "u_solver", "inner", "tol", "max_inner", "coupling",
     "coupling_step", "relaxation"
 }  # fmt: skip
 # Cheap iterations that gain little each: the default of six is for those of the exact u-step.
 _SMALL_STEPS = {"epsilon": 0.02, "max_iter": 300}
-_BREGMAN = frozenset(FlowParams.names()) - {"alpha", "boundary", "pad", "tau"}
+_BREGMAN = frozenset(FlowParams.names()) - _BEYOND - {"alpha", "boundary", "pad", "tau"}
 
 
 @dataclass(frozen=True)
@@ -145,6 +147,17 @@ register(
         "split Bregman with the fractional gradient (Algorithms 1, 2, 4)",
         "fracbench.methods.variational:tvl1_sb_alpha",
         _BREGMAN | {"alpha", "boundary", "pad"},
+    )
+)
+
+
+register(
+    Method(
+        "tvl1_sb_alpha_map",
+        "TV-L1-SB-alpha, mapped",
+        "the same with an order for each class of structure in frame 0: flat, edge, corner, texture",
+        "fracbench.methods.adaptive:tvl1_sb_alpha_map",
+        _BREGMAN | _BEYOND,
     )
 )
 

@@ -177,7 +177,7 @@ OTHER = {
     "u_solver": "gauss_seidel", "inner": "cold", "tol": "0.02", "max_inner": "31", "tau": "0.2",
     "upsample_gain": "0.5", "relinearise": "false", "dual_restart": "true", "gradient_scale": "2",
     "epsilon_squared": "false", "dtype": "float64", "coupling": "penalty", "coupling_step": "2",
-    "relaxation": "1.1",
+    "relaxation": "1.1", "alpha_flat": "0.9", "alpha_edge": "0.9", "alpha_corner": "0.9", "alpha_texture": "0.9",
 }  # fmt: skip
 
 
@@ -185,7 +185,7 @@ def test_every_parameter_is_varied_here():
     assert set(OTHER) == set(FlowParams.names())
 
 
-@pytest.mark.parametrize("method", ["tvl1", "tvl1_sb", "tvl1_sb_alpha"])
+@pytest.mark.parametrize("method", ["tvl1", "tvl1_sb", "tvl1_sb_alpha", "tvl1_sb_alpha_map"])
 @pytest.mark.parametrize("name", sorted(OTHER))
 def test_a_key_changes_with_a_parameter_exactly_if_the_method_uses_it(method, name):
     base = [FLAT, f"method={method}"]

@@ -10,7 +10,7 @@ from fracbench.errors import InputError
 from fracbench.methods.registry import METHODS, get_method, register
 from fracbench.model.params import FlowParams
 
-OURS = ("tvl1", "tvl1_sb", "tvl1_sb_alpha")
+OURS = ("tvl1", "tvl1_sb", "tvl1_sb_alpha", "tvl1_sb_alpha_map")
 
 #: parameter: (values that make it matter, two values of its own that give different flows)
 VARIATIONS = {
@@ -40,6 +40,10 @@ VARIATIONS = {
     "gradient_scale": ({}, 1.0, 2.0),
     "epsilon_squared": ({}, True, False),
     "dtype": ({}, "float32", "float64"),
+    "alpha_flat": ({}, 1.0, 0.5),
+    "alpha_edge": ({}, 1.3, 0.5),
+    "alpha_corner": ({}, 1.3, 0.5),
+    "alpha_texture": ({}, 1.3, 0.5),
 }
 SMALL = {"n_warps": 3, "max_iter": 10, "epsilon": 1e-3, "max_inner": 8}
 

@@ -1,0 +1,66 @@
+"""TV-L1-SB-alpha with an order that varies from pixel to pixel: by the structure of frame 0, or as given."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from fracbench.evaluation.structure import CLASSES, structure_classes
+from fracbench.methods.variational import split_bregman, v_step
+from fracbench.model import pyramid
+from fracbench.model.arrays import Array
+from fracbench.model.estimator import FlowResult, coarse_to_fine
+from fracbench.model.mapped import MappedGradient
+from fracbench.model.params import FlowParams
+from fracbench.model.regularizers import Regularizer
+
+
+def tvl1_sb_alpha_map(frame0: Array, frame1: Array, params: FlowParams, *, trace: bool = False) -> FlowResult:
+    """Compute flow with one order for each class of structure, `structure_classes` of frame 0 at each scale."""
+    return coarse_to_fine(frame0, frame1, params, _by_class, v_step, method="tvl1_sb_alpha_map", trace=trace)
+
+
+def flow_with_orders(
+    frame0: Array, frame1: Array, params: FlowParams, alphas: Sequence[float], weights: Array
+) -> FlowResult:
+    """Compute flow with a given map of orders.
+
+    Parameters
+    ----------
+    frame0, frame1 : ndarray, shape (H, W)
+        Gray frames.
+    params : FlowParams
+        Parameters but for the order.
+    alphas : sequence of float
+        The orders, K of them.
+    weights : ndarray, shape (K, H, W)
+        How much of each order a pixel has; see `MappedGradient`. They follow the frames down the pyramid.
+
+    Returns
+    -------
+    FlowResult
+        The flow.
+
+    Raises
+    ------
+    InputError
+        Frames that cannot be compared, or weights that are none.
+    """
+    shapes = pyramid.scale_shapes(frame0.shape, params.eta, params.n_scales)
+    levels = [pyramid.build(plane, shapes, params.eta) for plane in weights]
+    by_shape = {shape: np.stack(planes).clip(0.0) for shape, *planes in zip(shapes, *levels, strict=True)}
+
+    def as_given(params: FlowParams, frame0: Array) -> Regularizer:
+        return split_bregman(MappedGradient(alphas, by_shape[frame0.shape], frame0.dtype), params)
+
+    return coarse_to_fine(frame0, frame1, params, as_given, v_step, method="tvl1_sb_alpha_map")
+
+
+def _by_class(params: FlowParams, frame0: Array) -> Regularizer:
+    classes = structure_classes(frame0)
+    orders = [getattr(params, f"alpha_{name}") for name in CLASSES]
+    alphas = sorted(set(orders))  # classes of one order share their split variable
+    of_class = np.array([alphas.index(order) for order in orders])
+    weights = np.equal.outer(np.arange(len(alphas)), of_class[classes])
+    return split_bregman(MappedGradient(alphas, weights, frame0.dtype), params)
