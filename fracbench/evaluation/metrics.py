@@ -77,23 +77,19 @@ def flow_errors(flow: Any, truth: Any, mask: Any = None) -> FlowErrors:
     InputError
         If shapes differ, or no pixel can be scored.
     """
+    from fracbench.evaluation._sums import error_sums
+
     flow, truth = _checked(flow, truth)
-    known = _known(truth)
-    wanted = _checked_mask(mask, known.shape)
-    scored = wanted & known
-    n_pixels, n_unknown = int(scored.sum()), int((wanted & ~known).sum())
+    wanted = _checked_mask(mask, truth.shape[1:])
+    n_pixels, n_unknown, n_nonfinite, *sums = error_sums(flow, truth, wanted, _UNKNOWN_ABOVE)
     if n_pixels == 0:
         raise InputError(
             f"no pixel to score: the mask holds {int(wanted.sum())}, {n_unknown} of unknown true flow"
         )
-    estimate, true = flow[:, scored], truth[:, scored]
-    n_nonfinite = int((~np.isfinite(estimate)).any(axis=0).sum())
     if n_nonfinite:
         return FlowErrors(math.nan, math.nan, math.nan, n_pixels, n_unknown, n_nonfinite)
-    angles = _angles(estimate, true)
-    with np.errstate(over="ignore"):
-        aepe = float(_distances(estimate, true).mean())
-    return FlowErrors(float(angles.mean()), aepe, float(angles.std()), n_pixels, n_unknown, 0)
+    aae, variance, aepe = (value / n_pixels for value in sums)
+    return FlowErrors(aae, aepe, math.sqrt(variance), n_pixels, n_unknown, 0)
 
 
 def angular_error(flow: Any, truth: Any) -> Map:
@@ -172,13 +168,14 @@ def accuracy(epe: Any, percentile: float) -> float:
     return float(np.percentile(_known_errors(epe), percentile, method="inverted_cdf"))
 
 
-def _checked(flow: Any, truth: Any) -> tuple[Map, Map]:
-    flow, truth = np.asarray(flow, dtype=np.float64), np.asarray(truth, dtype=np.float64)
+def _checked(flow: Any, truth: Any) -> tuple[NDArray[Any], NDArray[Any]]:
+    flow, truth = np.asarray(flow), np.asarray(truth)
     if truth.ndim != 3 or truth.shape[0] != 2:
         raise InputError(f"the true flow must have the shape (2, H, W), not {truth.shape}")
     if flow.shape != truth.shape:
         raise InputError(f"the flow has the shape {flow.shape}, the true flow {truth.shape}")
-    return flow, truth
+    dtype = np.float32 if flow.dtype == truth.dtype == np.float32 else np.float64
+    return np.ascontiguousarray(flow, dtype), np.ascontiguousarray(truth, dtype)
 
 
 def _checked_mask(mask: Any, shape: tuple[int, ...]) -> NDArray[np.bool_]:
@@ -203,7 +200,7 @@ def _known_errors(epe: Any) -> Map:
 
 
 def _error_map(measure: Any, flow: Any, truth: Any) -> Map:
-    flow, truth = _checked(flow, truth)
+    flow, truth = (np.asarray(array, np.float64) for array in _checked(flow, truth))
     known = _known(truth)
     finite = np.isfinite(flow[0]) & np.isfinite(flow[1])
     error = np.full(known.shape, np.nan)

@@ -31,6 +31,8 @@ from fracbench.model.params import FlowParams
 #: is below 1; it has been seen near 40 where the data term has next to no weight (lambda = 1e-5).
 GROWN = 100.0
 
+_DEFAULTS = FlowParams()
+
 Guard = Callable[[], AbstractContextManager[Any]]
 
 
@@ -110,7 +112,7 @@ def _compute(point: Point, folder: Path | None, machine: dict[str, Any], guard: 
     if truth is None:
         raise InputError(f"sequence {point.sequence}: has no true flow to compare with")
     method = get_method(point.method)
-    params = FlowParams().replace(point.params)
+    params = _DEFAULTS.replace(point.params)
     _warm_up(point.method, params)
     reset_peak()
     started = time.perf_counter()
@@ -139,7 +141,7 @@ def _compute(point: Point, folder: Path | None, machine: dict[str, Any], guard: 
 def _divergence(name: str, frame0: Any, frame1: Any, result: Any, params: FlowParams, n_bad: int) -> str | None:
     if result.stop_reason == "diverged":
         return f"diverged: {n_bad} pixels of the flow are not finite"
-    growth = energy_growth(name, frame0, frame1, result.flow, params)
+    growth = energy_growth(name, frame0, frame1, result.flow, params, enough=GROWN)
     if growth is not None and not growth <= GROWN:  # NaN counts as grown
         return f"diverged: the energy of the flow is at least {growth:.3g} times that of no flow"
     return None

@@ -8,6 +8,7 @@ import numpy as np
 import scipy.linalg
 
 from fracbench.errors import InputError, unknown_name
+from fracbench.model._jit import jit
 from fracbench.model.arrays import Array, Float64Array
 from fracbench.model.gradient import GradientOperator
 from fracbench.model.reflected import NaturalGradient, ReflectGradient
@@ -62,6 +63,82 @@ def left_derivative_matrix(alpha: float, n: int, pad: int = 0) -> Float64Array:
     return np.asarray(scipy.linalg.toeplitz(gl_weights(alpha, n + pad), first_row))
 
 
+class LeftDerivative:
+    """The left derivative along one axis, `left_derivative_matrix`, in the fastest of its forms.
+
+    Parameters
+    ----------
+    alpha, n, pad
+        See `left_derivative_matrix`.
+    dtype : dtype-like
+        Precision.
+    """
+
+    def __init__(self, alpha: float, n: int, pad: int, dtype: np.dtype | type) -> None:
+        self._matrix = np.asfortranarray(left_derivative_matrix(alpha, n, pad), dtype)
+        # A whole order has few weights; without padding the matrix is a triangle, half the work of a product.
+        weights = gl_weights(alpha, n)
+        self._band = np.trim_zeros(weights, "b").astype(dtype) if np.count_nonzero(weights) <= 3 else None
+        self._pad = pad
+        self._multiply = scipy.linalg.get_blas_funcs("trmm", dtype=np.dtype(dtype))
+
+    def apply(self, u: Array, axis: int, out: Array) -> None:
+        """Write ``sum_k w_k u(j - k)`` along `axis` of `u` (0: y, 1: x); without padding `out` is C-contiguous."""
+        if self._pad:
+            np.matmul(u, self._matrix.T, out=out) if axis else np.matmul(self._matrix, u, out=out)
+        elif self._band is not None:
+            _weigh_before(u, self._band, axis, out)
+        else:
+            self._in_place(u, axis, False, out)
+
+    def adjoint(self, d: Array, axis: int, out: Array) -> None:
+        """Write the right derivative, ``sum_k w_k d(j + k)``, along `axis` of `d`; `out` as for `apply`."""
+        if self._pad:
+            np.matmul(d, self._matrix, out=out) if axis else np.matmul(self._matrix.T, d, out=out)
+        elif self._band is not None:
+            _weigh_after(d, self._band, axis, out)
+        else:
+            self._in_place(d, axis, True, out)
+
+    def _in_place(self, x: Array, axis: int, transposed: bool, out: Array) -> None:
+        out[...] = x
+        # BLAS sees columns where NumPy has rows: to it `out` is its transpose, and the axes change sides.
+        side, trans = (0, transposed) if axis else (1, not transposed)
+        self._multiply(1.0, self._matrix, out.T, side=side, lower=1, trans_a=trans, overwrite_b=1)
+
+
+@jit
+def _weigh_before(x: Array, weights: Array, axis: int, out: Array) -> None:
+    """Write ``sum_k weights(k) x(j - k)`` along `axis`, x being 0 outside."""
+    height, width = x.shape
+    for i in range(height):
+        for j in range(width):
+            out[i, j] = weights[0] * x[i, j]
+        for k in range(1, weights.size):
+            if axis == 1:
+                for j in range(k, width):
+                    out[i, j] += weights[k] * x[i, j - k]
+            elif i >= k:
+                for j in range(width):
+                    out[i, j] += weights[k] * x[i - k, j]
+
+
+@jit
+def _weigh_after(x: Array, weights: Array, axis: int, out: Array) -> None:
+    """Write ``sum_k weights(k) x(j + k)`` along `axis`, x being 0 outside."""
+    height, width = x.shape
+    for i in range(height):
+        for j in range(width):
+            out[i, j] = weights[0] * x[i, j]
+        for k in range(1, weights.size):
+            if axis == 1:
+                for j in range(width - k):
+                    out[i, j] += weights[k] * x[i, j + k]
+            elif i + k < height:
+                for j in range(width):
+                    out[i, j] += weights[k] * x[i + k, j]
+
+
 class ZeroGradient(GradientOperator):
     """Left derivatives of u extended by 0: the operator of Algorithm 4.
 
@@ -80,54 +157,61 @@ class ZeroGradient(GradientOperator):
         self.pad = pad
         height, width = shape
         self.range_shape = (1, 2, height + pad, width + pad)
-        self._ty = left_derivative_matrix(alpha, height, pad).astype(self.dtype)
-        self._tx = left_derivative_matrix(alpha, width, pad).astype(self.dtype)
+        self._dy, self._dx = (LeftDerivative(self.alpha, n, pad, self.dtype) for n in shape)
         self._ly, qy = _eigenbasis(self.alpha, height, pad)
         self._lx, qx = _eigenbasis(self.alpha, width, pad)
         self._qy, self._qx = qy.astype(self.dtype), qx.astype(self.dtype)
+        self._qx_back = np.ascontiguousarray(self._qx.T)
         self._work = np.empty((2, height, width), self.dtype)
 
     def apply(self, u: Array) -> Array:
-        height, width = self.shape
-        # D_x u(i, j) = sum_k w_k u(i, j - k),  D_y u(i, j) = sum_k w_k u(i - k, j)
         d = np.zeros(self.range_shape, self.dtype)
-        np.matmul(u, self._tx.T, out=d[0, 0, :height])
-        np.matmul(self._ty, u, out=d[0, 1, :, :width])
+        self._differentiate(u, d)
         return d
 
-    def adjoint(self, d: Array) -> Array:
+    def _differentiate(self, u: Array, d: Array) -> None:
         height, width = self.shape
-        # D_+ g(i, j) = sum_k w_k g(i, j + k), the transpose of the sums above
-        result: Array = d[0, 0, :height] @ self._tx
-        result += self._ty.T @ d[0, 1, :, :width]
-        return result
+        self._dx.apply(u, 1, d[0, 0, :height])
+        self._dy.apply(u, 0, d[0, 1, :, :width])
+
+    def adjoint(self, d: Array) -> Array:
+        x, y = np.empty_like(self._work)
+        self._adjoint(d, x, y)
+        return x
+
+    def _adjoint(self, d: Array, x: Array, y: Array) -> None:
+        """Write the adjoint of `d` to `x`; `y` is overwritten."""
+        height, width = self.shape
+        self._dx.adjoint(d[0, 0, :height], 1, x)
+        self._dy.adjoint(d[0, 1, :, :width], 0, y)
+        x += y
 
     def to_basis(self, u: Array) -> Array:
         return self._qy.T @ u @ self._qx
 
     def from_basis(self, coefficients: Array) -> Array:
-        return self._qy @ coefficients @ self._qx.T
+        return self._qy @ coefficients @ self._qx_back
 
     def solve(self, v: Array, g: Array, theta: float, mu: float, inverse: Array, u: Array, du: Array) -> None:
         height, width = self.shape
         real = self.dtype.type
         x, y = self._work
         # The formula, with nothing allocated.
-        np.matmul(g[0, 0, :height], self._tx, out=x)
-        np.matmul(self._ty.T, g[0, 1, :, :width], out=y)
-        x += y
+        self._adjoint(g, x, y)
         x *= real(mu)
         np.multiply(v, real(1.0 / theta), out=y)
         x += y
-        np.matmul(self._qy.T, x, out=y)
-        np.matmul(y, self._qx, out=x)
-        x *= inverse
-        np.matmul(self._qy, x, out=y)
-        np.matmul(y, self._qx.T, out=u)
+        if self.alpha == 0.0:  # the operator is the identity, in any basis
+            np.multiply(x, inverse, out=u)
+        else:
+            np.matmul(self._qy.T, x, out=y)
+            np.matmul(y, self._qx, out=x)
+            x *= inverse
+            np.matmul(self._qy, x, out=y)
+            np.matmul(y, self._qx_back, out=u)
         du[:, 0, height:] = 0.0  # on the padding below and beside the image
         du[:, 1, :, width:] = 0.0
-        np.matmul(u, self._tx.T, out=du[0, 0, :height])
-        np.matmul(self._ty, u, out=du[0, 1, :, :width])
+        self._differentiate(u, du)
 
     def eigenvalues(self) -> tuple[Float64Array, Float64Array]:
         return self._ly, self._lx
@@ -138,7 +222,8 @@ class ZeroGradient(GradientOperator):
         return ty.T @ ty, tx.T @ tx
 
 
-@lru_cache(maxsize=64)
+# As many bases as a sweep over alpha at four scales comes back to, a megabyte each at most on a region.
+@lru_cache(maxsize=256)
 def _eigenbasis(alpha: float, n: int, pad: int) -> tuple[Float64Array, Float64Array]:
     t = left_derivative_matrix(alpha, n, pad)
     # The singular values of T, squared, keep the small eigenvalues of T^T T accurate.

@@ -59,36 +59,76 @@ def jacobi_sweep(u: Array, rhs: Array, ny: Float64Array, nx: Float64Array, theta
 
 
 @jit
-def gauss_seidel_natural(u: Array, rhs: Array, theta: float, mu: float) -> None:
-    """Sweep once over the pixels in raster order, 5-point stencil without flux (Algorithm 3); `u` is updated.
+def _sweep_row(u: Array, row: Array, theta: float, mu: float, i: int) -> None:
+    """Sweep over row `i`, whose right-hand side is `row`; it is overwritten.
+
+    All neighbours but the left one are known before, for all pixels at once; only the rest is a recurrence.
+    """
+    height, width = u.shape
+    real = u.dtype.type  # or all would be computed in float64
+    penalty = real(mu)
+    if i > 0:
+        for j in range(width):
+            row[j] += penalty * u[i - 1, j]
+    if i < height - 1:
+        for j in range(width):
+            row[j] += penalty * u[i + 1, j]
+    for j in range(width - 1):
+        row[j] += penalty * u[i, j + 1]
+    above_and_below = int(i > 0) + int(i < height - 1)
+    inside = real(1.0 / (1.0 / theta + mu * (above_and_below + 2)))
+    end = real(1.0 / (1.0 / theta + mu * (above_and_below + min(1, width - 1))))
+    left = u[i, 0] = row[0] * end
+    for j in range(1, width - 1):
+        row[j] *= inside
+    for j in range(1, width - 1):  # what has to wait for the pixel before it
+        left = row[j] + penalty * inside * left
+        u[i, j] = left
+    if width > 1:
+        u[i, width - 1] = (row[width - 1] + penalty * left) * end
+
+
+@jit
+def gauss_seidel_natural(u: Array, v: Array, w: Array, theta: float, mu: float) -> None:
+    """Take the u-step of Algorithm 3: one sweep in raster order, 5-point stencil without flux, D u after it.
+
+    The right-hand side ``v/theta + mu D^T (d - b)`` is formed row by row as the sweep comes by.
 
     Parameters
     ----------
     u : ndarray, shape (H, W)
         Current iterate, overwritten.
-    rhs : ndarray, shape (H, W)
-        ``v/theta + mu D^T (d - b)``.
+    v : ndarray, shape (H, W)
+        Data.
+    w : ndarray, shape (1, 2, H, W)
+        ``d - b``, overwritten by the forward differences of the next u, 0 across the border.
     theta, mu : float
         Tightness and split Bregman parameter.
     """
     height, width = u.shape
+    penalty = u.dtype.type(mu)
+    row = np.empty(width, u.dtype)
     for i in range(height):
         for j in range(width):
-            neighbours = 0.0
-            count = 0
-            if i > 0:
-                neighbours += u[i - 1, j]
-                count += 1
-            if i < height - 1:
-                neighbours += u[i + 1, j]
-                count += 1
-            if j > 0:
-                neighbours += u[i, j - 1]
-                count += 1
-            if j < width - 1:
-                neighbours += u[i, j + 1]
-                count += 1
-            u[i, j] = (rhs[i, j] + mu * neighbours) / (1.0 / theta + mu * count)
+            row[j] = u.dtype.type(1.0 / theta) * v[i, j]
+        for j in range(width - 1):
+            row[j] -= penalty * w[0, 0, i, j]
+        for j in range(1, width):
+            row[j] += penalty * w[0, 0, i, j - 1]
+        if i < height - 1:
+            for j in range(width):
+                row[j] -= penalty * w[0, 1, i, j]
+        if i > 0:
+            for j in range(width):
+                row[j] += penalty * w[0, 1, i - 1, j]
+        _sweep_row(u, row, theta, mu, i)
+        for j in range(width - 1):
+            w[0, 0, i, j] = u[i, j + 1] - u[i, j]
+        w[0, 0, i, width - 1] = 0.0
+        if i > 0:
+            for j in range(width):
+                w[0, 1, i - 1, j] = u[i, j] - u[i - 1, j]
+    w[0, 1, height - 1] = 0.0
 
 
 @jit

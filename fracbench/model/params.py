@@ -150,10 +150,11 @@ class FlowParams:
     alpha_texture: float = _param(1.3, "order where frame 0 is textured", low=0.0, high=2.0)
 
     def __post_init__(self) -> None:
-        for field in dataclasses.fields(self):
-            value = _coerce(field.name, _hints()[field.name], getattr(self, field.name))
-            _check_range(field.name, self.info(field.name), value)
-            object.__setattr__(self, field.name, value)
+        for name in self.__dataclass_fields__:
+            value = getattr(self, name)
+            # Thousands of points share their values; a list, which is never one, cannot be looked up.
+            accept = _accepted if isinstance(value, str | float | int | None) else _accepted.__wrapped__
+            object.__setattr__(self, name, accept(name, value))
 
     @classmethod
     def names(cls) -> tuple[str, ...]:
@@ -209,6 +210,14 @@ def _field_name(name: str) -> str:
 @lru_cache(maxsize=1)
 def _hints() -> dict[str, Any]:
     return typing.get_type_hints(FlowParams)
+
+
+@lru_cache(maxsize=4096, typed=True)
+def _accepted(name: str, value: Any) -> Any:
+    """Return the value of a field in its type, or say what is allowed."""
+    converted = _coerce(name, _hints()[name], value)
+    _check_range(name, FlowParams.info(name), converted)
+    return converted
 
 
 _WORDS = {bool: "true or false", int: "a whole number", float: "a number"}

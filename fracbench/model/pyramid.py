@@ -63,12 +63,16 @@ def stretch(frame0: Array, frame1: Array, dtype: np.dtype) -> tuple[Array, Array
     tuple of ndarray
         New arrays.
     """
-    low = min(float(frame0.min()), float(frame1.min()))
-    high = max(float(frame0.max()), float(frame1.max()))
-    gain = 255.0 / (high - low) if high > low else 1.0
-    offset = low if high > low else 0.0
+    offset, gain = scaling(frame0, frame1)
     first, second = (((f.astype(np.float64) - offset) * gain).astype(dtype) for f in (frame0, frame1))
     return first, second
+
+
+def scaling(frame0: Array, frame1: Array) -> tuple[float, float]:
+    """Return what `stretch` subtracts from both frames, and the factor that it multiplies them by then."""
+    low = min(float(frame0.min()), float(frame1.min()))
+    high = max(float(frame0.max()), float(frame1.max()))
+    return (low, 255.0 / (high - low)) if high > low else (0.0, 1.0)
 
 
 def smooth(image: Array, sigma: float) -> Array:

@@ -177,9 +177,10 @@ class SplitBregman:
         self._z = np.zeros((2, *operator.range_shape), operator.dtype)
         self._w = np.zeros(operator.range_shape, operator.dtype)  # by turns d - b and D u
         self._started = [False, False]
+        self._fused = u_solver == "gauss_seidel" and isinstance(operator, NaturalGradient)
         if u_solver == "exact":
             self._inverse = inverse_eigenvalues(operator, theta, mu)
-        else:
+        elif not self._fused:
             self._ny, self._nx = operator.normal_matrices()
 
     def restart(self) -> None:
@@ -240,11 +241,12 @@ class SplitBregman:
         if self._solver == "exact":
             operator.solve(v, w, self._theta, self._mu, self._inverse, u, w)
             return
+        if self._fused:
+            gauss_seidel_natural(u, v, w, self._theta, self._mu)
+            return
         rhs = v / u.dtype.type(self._theta) + u.dtype.type(self._mu * operator.weight) * operator.adjoint(w)
         if self._solver == "jacobi":
             u[...] = jacobi_sweep(u, rhs, self._ny, self._nx, self._theta, self._mu)
-        elif isinstance(operator, NaturalGradient):
-            gauss_seidel_natural(u, rhs, self._theta, self._mu)
         else:
             gauss_seidel_dense(u, rhs, self._ny, self._nx, self._theta, self._mu)
         w[...] = operator.apply(u)

@@ -11,6 +11,7 @@ from hypothesis.extra.numpy import arrays
 
 from fracbench.data import middlebury as middlebury_data
 from fracbench.errors import InputError
+from fracbench.evaluation._sums import angle
 from fracbench.evaluation.metrics import (
     CONVENTIONS,
     FlowErrors,
@@ -143,6 +144,25 @@ class TestFlowErrors:
     def test_a_diverged_flow_gives_numbers_and_no_warning(self):
         errors = flow_errors(np.full((2, 4, 4), 1e308), np.zeros((2, 4, 4)))
         assert errors.aepe == INF and errors.aae == pytest.approx(math.pi / 2)
+
+    @pytest.mark.parametrize("dtype", [np.float32, np.float64])
+    @pytest.mark.parametrize("size", [1e-9, 1.0, 1e6])
+    def test_the_sums_are_those_of_the_maps(self, dtype, size):
+        gt = RNG.normal(size=(2, 37, 41)).astype(np.float32)
+        u = (gt + size * RNG.normal(size=gt.shape)).astype(dtype)
+        gt[:, 3, 5:9] = NAN
+        angles, distances = (error(u, gt)[~np.isnan(gt[0])] for error in (angular_error, endpoint_error))
+        errors = flow_errors(u, gt)
+        expected = (angles.mean(), distances.mean(), angles.std())
+        assert (errors.aae, errors.aepe, errors.sdae) == pytest.approx(expected, rel=1e-12)
+
+    @given(st.floats(-20, 20), st.floats(0, math.pi))
+    def test_the_angle_is_the_arcus_tangens(self, decades, direction):
+        y, x = 10.0**decades * abs(math.sin(direction)), math.cos(direction)
+        assert angle(y, x) == pytest.approx(math.atan2(y, x), rel=1e-15)
+
+    def test_the_angle_at_the_ends(self):
+        assert [angle(0.0, 2.0), angle(3.0, 0.0), angle(0.0, -1.0)] == [0.0, math.pi / 2, math.pi]
 
     def test_degrees(self):
         assert FlowErrors(math.pi / 2, 1.0, math.pi / 4, 1, 0, 0).degrees == (90.0, 45.0)

@@ -201,6 +201,28 @@ def test_the_energy_of_a_flow_is_compared_with_that_of_none():
     assert energy_growth("tvl1", frame0, frame0, flow, params) == np.inf
 
 
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("tvl1_sb", {}),
+        ("tvl1_sb_alpha", {"alpha": 0.4}),
+        ("tvl1_sb_alpha", {"alpha": 2.0}),
+        ("tvl1_sb_alpha", {"alpha": 1.3, "boundary": "zero", "pad": 3}),
+    ],
+)
+def test_where_a_bound_will_do_it_is_one(name, changes):
+    rng = np.random.default_rng(8)
+    frame0, frame1 = rng.uniform(0.0, 255.0, (2, 12, 15))
+    params = FlowParams().replace(changes)
+    checkered = np.indices((12, 15)).sum(axis=0) % 2 - 0.5  # next to no flow has larger derivatives for its size
+    for flow in (rng.normal(size=(2, 12, 15)), np.stack([checkered, -checkered])):
+        exact = energy_growth(name, frame0, frame1, flow, params)
+        bound = energy_growth(name, frame0, frame1, flow, params, enough=100.0)
+        assert exact < bound < 10.0 * exact
+        assert energy_growth(name, frame0, frame1, flow, params, enough=bound) == exact
+    assert energy_growth(name, frame0, frame1, np.nan * flow, params, enough=100.0) != 0.0
+
+
 def test_data_that_changed_since_they_were_planned_are_not_computed_on():
     outcome = run_point(a_point(digest="of something else"), None)
     assert outcome.status == "failed"

@@ -38,7 +38,7 @@ def system(boundary, alpha, shape, pad=0, theta=THETA, mu=MU):
 
 def sweep(operator, u, rhs, theta=THETA, mu=MU):
     if isinstance(operator, NaturalGradient):
-        gauss_seidel_natural(u, rhs, theta, mu)
+        gauss_seidel_natural(u, theta * rhs, np.zeros(operator.range_shape), theta, mu)
     else:
         gauss_seidel_dense(u, rhs, *operator.normal_matrices(), theta, mu)
 
@@ -100,12 +100,14 @@ def test_jacobi_is_the_printed_sweep_with_corrected_signs(rng, alpha):
     np.testing.assert_array_equal(u, before)
 
 
-@pytest.mark.parametrize("shape", [(5, 4), (1, 6), (6, 1)])
+@pytest.mark.parametrize("shape", [(5, 4), (1, 6), (6, 1), (2, 2), (1, 1)])
 def test_gauss_seidel_natural_is_algorithm_3(rng, shape):
-    u, rhs = rng.normal(size=(2, *shape))
+    (u, v), w = rng.normal(size=(2, *shape)), rng.normal(size=(1, 2, *shape))
+    rhs = v / THETA + MU * NaturalGradient(1.0, shape).adjoint(w)
     expected = ref.gauss_seidel_natural(u, rhs, THETA, MU)
-    gauss_seidel_natural(u, rhs, THETA, MU)
+    gauss_seidel_natural(u, v, w, THETA, MU)
     np.testing.assert_allclose(u, expected, atol=1e-14)
+    np.testing.assert_allclose(w[0], ref.forward_gradient(expected), atol=1e-14)
 
 
 def test_the_right_hand_side_is_the_adjoint(rng):
