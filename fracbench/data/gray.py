@@ -1,4 +1,4 @@
-"""Any picture as one plane of float64 gray levels."""
+"""Any picture as one plane of gray levels."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fracbench.errors import InputError
 
 
-def to_gray(image: Any, name: str = "frame") -> NDArray[np.float64]:
+def to_gray(image: Any, name: str = "frame") -> NDArray[np.floating[Any]]:
     """Turn a gray or colour picture into one plane of gray levels.
 
     Integer colour gives ``floor(0.299 R + 0.587 G + 0.114 B)`` in exact integer arithmetic, which is
@@ -26,8 +26,8 @@ def to_gray(image: Any, name: str = "frame") -> NDArray[np.float64]:
 
     Returns
     -------
-    ndarray of float64, (H, W)
-        A new, C-contiguous array.
+    ndarray of float32 or float64, (H, W)
+        A new, C-contiguous array; float32 for integers of up to 16 bits, which it holds exactly.
 
     Raises
     ------
@@ -36,11 +36,12 @@ def to_gray(image: Any, name: str = "frame") -> NDArray[np.float64]:
     """
     planes = _planes(_real_array(image, name), name)
     _require_finite(planes, name)
+    dtype = np.float32 if planes.dtype.kind in "iub" and planes.dtype.itemsize <= 2 else np.float64
     if planes.shape[2] == 1:
-        return np.array(planes[..., 0], dtype=np.float64, order="C")
+        return np.array(planes[..., 0], dtype=dtype, order="C")
     if np.issubdtype(planes.dtype, np.integer):
         r, g, b = np.moveaxis(planes.astype(np.int64), 2, 0)
-        return np.asarray((299 * r + 587 * g + 114 * b) // 1000, dtype=np.float64)
+        return np.asarray((299 * r + 587 * g + 114 * b) // 1000, dtype=dtype)
     r, g, b = np.moveaxis(planes.astype(np.float64), 2, 0)
     return np.asarray(0.299 * r + 0.587 * g + 0.114 * b)
 

@@ -295,8 +295,8 @@ def load(sequence: str, folder: str | Path) -> Sequence:
     return Sequence(
         name=sequence,
         dataset="middlebury",
-        frame0=to_gray(frame0),
-        frame1=to_gray(frame1),
+        frame0=to_gray(frame0).astype(float),
+        frame1=to_gray(frame1).astype(float),
         truth=decode_flo(content["flow10.flo"], f"{sequence}/flow10.flo"),
         digest=identity,
         frame0_color=frame0,

@@ -11,6 +11,7 @@ from fracbench.errors import InputError, unknown_name
 from fracbench.model._jit import jit
 from fracbench.model.arrays import Array, Float64Array
 from fracbench.model.gradient import GradientOperator
+from fracbench.model.proximal import divide_by_sum
 from fracbench.model.reflected import NaturalGradient, ReflectGradient
 
 BOUNDARIES = ("zero", "reflect", "natural")
@@ -165,12 +166,14 @@ class ZeroGradient(GradientOperator):
         self._work = np.empty((2, height, width), self.dtype)
 
     def apply(self, u: Array) -> Array:
-        d = np.zeros(self.range_shape, self.dtype)
-        self._differentiate(u, d)
+        d = np.empty(self.range_shape, self.dtype)
+        self.differentiate(u, d)
         return d
 
-    def _differentiate(self, u: Array, d: Array) -> None:
+    def differentiate(self, u: Array, d: Array) -> None:
         height, width = self.shape
+        d[0, 0, height:] = 0.0  # on the padding below and beside the image
+        d[0, 1, :, width:] = 0.0
         self._dx.apply(u, 1, d[0, 0, :height])
         self._dy.apply(u, 0, d[0, 1, :, :width])
 
@@ -192,26 +195,25 @@ class ZeroGradient(GradientOperator):
     def from_basis(self, coefficients: Array) -> Array:
         return self._qy @ coefficients @ self._qx_back
 
-    def solve(self, v: Array, g: Array, theta: float, mu: float, inverse: Array, u: Array, du: Array) -> None:
-        height, width = self.shape
+    def solve(
+        self, v: Array, w: Array, theta: float, mu: float, system: tuple[Float64Array, Float64Array], u: Array
+    ) -> None:
         real = self.dtype.type
         x, y = self._work
         # The formula, with nothing allocated.
-        self._adjoint(g, x, y)
+        self._adjoint(w, x, y)
         x *= real(mu)
         np.multiply(v, real(1.0 / theta), out=y)
         x += y
         if self.alpha == 0.0:  # the operator is the identity, in any basis
-            np.multiply(x, inverse, out=u)
+            divide_by_sum(x, *system, u)
         else:
             np.matmul(self._qy.T, x, out=y)
             np.matmul(y, self._qx, out=x)
-            x *= inverse
+            divide_by_sum(x, *system, x)
             np.matmul(self._qy, x, out=y)
             np.matmul(y, self._qx_back, out=u)
-        du[:, 0, height:] = 0.0  # on the padding below and beside the image
-        du[:, 1, :, width:] = 0.0
-        self._differentiate(u, du)
+        self.differentiate(u, w)
 
     def eigenvalues(self) -> tuple[Float64Array, Float64Array]:
         return self._ly, self._lx

@@ -86,8 +86,14 @@ class GradientOperator(ABC):
     def normal_matrices(self) -> tuple[Float64Array, Float64Array]:
         """Return the normal operator along y and x as dense matrices, ``(H, H)`` and ``(W, W)``."""
 
-    def solve(self, v: Array, g: Array, theta: float, mu: float, inverse: Array, u: Array, du: Array) -> None:
-        """Take the u-step of one component: minimise ``|u - v|^2 / (2 theta) + mu/2 weight |D u - g|^2``.
+    def differentiate(self, u: Array, d: Array) -> None:
+        """Write all derivatives of `u` to `d`, shape `range_shape`; an operator may have a faster way."""
+        d[...] = self.apply(u)
+
+    def solve(
+        self, v: Array, w: Array, theta: float, mu: float, system: tuple[Float64Array, Float64Array], u: Array
+    ) -> None:
+        """Take the u-step of one component: minimise ``|u - v|^2 / (2 theta) + mu/2 weight |D u - w|^2``.
 
         The default is the formula; an operator that knows a faster way to the same numbers overrides it.
 
@@ -95,18 +101,16 @@ class GradientOperator(ABC):
         ----------
         v : ndarray, shape (H, W)
             Data.
-        g : ndarray, shape `range_shape`
-            ``d - b``.
+        w : ndarray, shape `range_shape`
+            ``d - b``, overwritten by the derivatives of the minimiser.
         theta, mu : float
             Tightness and split Bregman parameter.
-        inverse : ndarray, shape (H, W)
-            Inverse of the system's eigenvalues, ``1 / (1/theta + mu (ly_i + lx_j))``.
+        system : tuple of ndarray, shapes (H,) and (W,)
+            The system's eigenvalues are their sums, ``system[0][i] + system[1][j]``; see `system_diagonals`.
         u : ndarray, shape (H, W)
             The minimiser, overwritten.
-        du : ndarray, shape `range_shape`
-            Its derivatives, overwritten; may be `g`.
         """
         real = self.dtype.type
-        rhs = v / real(theta) + real(mu * self.weight) * self.adjoint(g)
-        u[...] = self.from_basis(self.to_basis(rhs) * inverse)
-        du[...] = self.apply(u)
+        rhs = v / real(theta) + real(mu * self.weight) * self.adjoint(w)
+        u[...] = self.from_basis(self.to_basis(rhs) / np.add.outer(*system))
+        self.differentiate(u, w)

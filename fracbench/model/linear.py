@@ -14,8 +14,8 @@ from fracbench.model.arrays import Array, Float64Array
 from fracbench.model.gradient import GradientOperator
 
 
-def inverse_eigenvalues(operator: GradientOperator, theta: float, mu: float) -> Array:
-    """Return ``1 / (1/theta + mu (ly_i + lx_j))``, the inverse of the u-system in the operator's basis.
+def system_diagonals(operator: GradientOperator, theta: float, mu: float) -> tuple[Float64Array, Float64Array]:
+    """Return ``1/theta + mu ly`` and ``mu lx``, whose outer sum is the u-system in the operator's basis.
 
     Parameters
     ----------
@@ -26,11 +26,11 @@ def inverse_eigenvalues(operator: GradientOperator, theta: float, mu: float) -> 
 
     Returns
     -------
-    ndarray, shape (H, W)
-        In the operator's precision.
+    tuple of ndarray, shapes (H,) and (W,), float64
+        The two diagonals.
     """
     ly, lx = operator.eigenvalues()
-    return (1.0 / (1.0 / theta + mu * (ly[:, None] + lx[None, :]))).astype(operator.dtype)
+    return 1.0 / theta + mu * ly, mu * lx
 
 
 def jacobi_sweep(u: Array, rhs: Array, ny: Float64Array, nx: Float64Array, theta: float, mu: float) -> Array:

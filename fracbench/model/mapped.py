@@ -49,7 +49,6 @@ class MappedGradient(CosineGradient):
         super().__init__(alphas[0], shape, dtype)
         self._orders = [ReflectGradient(alpha, shape, dtype) for alpha in alphas]
         self.pixel_weights = weights.astype(self.dtype)
-        self._work = np.empty((3, *shape), self.dtype)
 
     def _of_orders(self, d: Array) -> list[Array]:
         return np.split(d, len(self._orders))
@@ -67,15 +66,22 @@ class MappedGradient(CosineGradient):
         ly, lx = (sum(along) for along in zip(*(order.eigenvalues() for order in self._orders), strict=True))
         return ly, lx
 
-    def solve(self, v: Array, g: Array, theta: float, mu: float, inverse: Array, u: Array, du: Array) -> None:
-        first = self._orders[0]
-        in_x, in_y = self._work[0], u  # u itself is written last
-        first.collect(v, self._of_orders(g)[0], theta, mu, in_x, in_y)
-        for order, part in list(zip(self._orders, self._of_orders(g), strict=True))[1:]:
-            order.collect(v, part, math.inf, mu, *self._work[1:])
-            in_x += self._work[1]
-            in_y += self._work[2]
-        self.divide(in_x, in_y, inverse)
-        for order, part in zip(self._orders, self._of_orders(du), strict=True):
-            order.spread(in_x, in_y, part)
-        self.finish(in_x, u)
+    def differentiate(self, u: Array, d: Array) -> None:
+        self.transform(u, d)
+        self._spread(d)
+
+    def _spread(self, d: Array) -> None:
+        # The first order's place holds the coefficients that all need: it comes last.
+        for order, part in reversed(list(zip(self._orders, self._of_orders(d), strict=True))):
+            order.spread(d[0], part)
+
+    def solve(
+        self, v: Array, w: Array, theta: float, mu: float, system: tuple[Float64Array, Float64Array], u: Array
+    ) -> None:
+        for k, (order, part) in enumerate(zip(self._orders, self._of_orders(w), strict=True)):
+            order.collect(v, part, math.inf if k else theta, mu)
+            if k:
+                w[0] += part[0]
+        self.divide(w, system)
+        self.back(w, u)
+        self._spread(w)

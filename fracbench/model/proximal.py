@@ -212,6 +212,35 @@ def bregman_update(du: Array, threshold: Any, relaxation: float, z: Array, start
 
 
 @jit
+def divide_by_sum(x: Array, along_y: Array, along_x: Array, out: Array) -> None:
+    """Write ``x / (along_y(i) + along_x(j))``: the u-step in the basis of the gradient.
+
+    Parameters
+    ----------
+    x : ndarray, shape (H, W)
+        Coefficients of the right-hand side.
+    along_y, along_x : ndarray, shapes (H,) and (W,), float64
+        From `system_diagonals`.
+    out : ndarray, shape (H, W)
+        Coefficients of u; may be `x`.
+    """
+    height, width = x.shape
+    real = x.dtype.type
+    for i in range(height):
+        for j in range(width):
+            out[i, j] = x[i, j] * real(1.0 / (along_y[i] + along_x[j]))
+
+
+@jit
+def add_and_divide(x: Array, y: Array, along_y: Array, along_x: Array, start: int, stop: int) -> None:
+    """Write ``(x + y) / (along_y(i) + along_x(j))`` to `x`, rows ``start..stop-1``; see `divide_by_sum`."""
+    real = x.dtype.type
+    for i in range(start, stop):
+        for j in range(x.shape[1]):
+            x[i, j] = real(1.0 / (along_y[i] + along_x[j])) * (x[i, j] + y[i, j])
+
+
+@jit
 def mean_squared_change(a: Array, b: Array) -> float:
     """Return the mean over pixels of ``|a - b|^2``, summed over components, in float64.
 

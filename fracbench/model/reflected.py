@@ -11,8 +11,9 @@ import scipy.fft
 from fracbench.model.arrays import Array, Float64Array
 from fracbench.model.fourier import line_plan
 from fracbench.model.gradient import GradientOperator
+from fracbench.model.proximal import add_and_divide, divide_by_sum
 from fracbench.model.threads import share
-from fracbench.model.transforms import cosine, cosine_back, derivatives, derivatives_adjoint, multiply_sum
+from fracbench.model.transforms import cosine, cosine_back, derivatives, derivatives_adjoint
 
 
 class CosineGradient(GradientOperator):
@@ -40,28 +41,36 @@ class CosineGradient(GradientOperator):
         ny, nx = (_from_cosine_basis(eigenvalues) for eigenvalues in self.eigenvalues())
         return ny, nx
 
-    def divide(self, in_x: Array, in_y: Array, inverse: Array) -> None:
-        """Bring both parts of the right-hand side into the basis, divide, and go back along either axis.
+    def divide(self, w: Array, system: tuple[Float64Array, Float64Array]) -> None:
+        """Solve the u-system whose right-hand side `w` holds in two parts, each in the basis of its axis alone.
 
         Parameters
         ----------
-        in_x, in_y : ndarray, shape (H, W)
-            From `collect`; overwritten by u's cosine coefficients along x and along y.
-        inverse : ndarray, shape (H, W)
+        w : ndarray, shape `range_shape`
+            ``w[0, 0]``, cosine coefficients along x, and ``w[0, 1]``, along y, sum up to the right-hand side;
+            overwritten by the cosine coefficients of u along x and those along y.
+        system
             See `solve`.
         """
         height, width = self.shape
         plan_y, plan_x, one_y, one_x = self._plan_y, self._plan_x, self._one_y, self._one_x
+        in_x, in_y = w[0]
         share(lambda a, b: cosine(in_x, 0, a, b, one_y, plan_y, in_x), width)
         share(lambda a, b: cosine(in_y, 1, a, b, one_x, plan_x, in_y), height)
-        multiply_sum(in_x, in_y, inverse)
+        share(lambda a, b: add_and_divide(in_x, in_y, *system, a, b), height)
         share(lambda a, b: cosine_back(in_x, 1, a, b, one_x, plan_x, in_y), height)
         share(lambda a, b: cosine_back(in_x, 0, a, b, one_y, plan_y, in_x), width)
 
-    def finish(self, in_x: Array, u: Array) -> None:
-        """Write u from its cosine coefficients along x; both of shape (H, W)."""
+    def transform(self, u: Array, w: Array) -> None:
+        """Write the cosine coefficients of `u` along x and along y to ``w[0, 0]`` and ``w[0, 1]``."""
+        plan_y, plan_x, one_y, one_x = self._plan_y, self._plan_x, self._one_y, self._one_x
+        share(lambda a, b: cosine(u, 1, a, b, one_x, plan_x, w[0, 0]), self.shape[0])
+        share(lambda a, b: cosine(u, 0, a, b, one_y, plan_y, w[0, 1]), self.shape[1])
+
+    def back(self, w: Array, u: Array) -> None:
+        """Write u from its cosine coefficients along x, ``w[0, 0]``."""
         plan, one = self._plan_x, self._one_x
-        share(lambda a, b: cosine_back(in_x, 1, a, b, one, plan, u), self.shape[0])
+        share(lambda a, b: cosine_back(w[0, 0], 1, a, b, one, plan, u), self.shape[0])
 
 
 def _from_cosine_basis(eigenvalues: Float64Array) -> Float64Array:
@@ -89,7 +98,6 @@ class ReflectGradient(CosineGradient):
         super().__init__(alpha, shape, dtype)
         self._cos_y, self._sin_y = self._multipliers(shape[0])
         self._cos_x, self._sin_x = self._multipliers(shape[1])
-        self._work = np.empty(shape, self.dtype)
 
     def _multipliers(self, n: int) -> tuple[Array, Array]:
         modulus = _sine_symbol(n) ** self.alpha
@@ -107,46 +115,50 @@ class ReflectGradient(CosineGradient):
         along_y = _idct(self._adjoint_coefficients(d[:, 1], self._cos_y[:, None], self._sin_y[:, None], 0), 0)
         return along_x + along_y
 
-    def solve(self, v: Array, g: Array, theta: float, mu: float, inverse: Array, u: Array, du: Array) -> None:
-        in_x, in_y = self._work, u  # u itself is written last
-        self.collect(v, g, theta, mu, in_x, in_y)
-        self.divide(in_x, in_y, inverse)
-        self.spread(in_x, in_y, du)
-        self.finish(in_x, u)
+    def differentiate(self, u: Array, d: Array) -> None:
+        self.transform(u, d)
+        self.spread(d[0], d)
 
-    def collect(self, v: Array, g: Array, theta: float, mu: float, in_x: Array, in_y: Array) -> None:
-        """Write the right-hand side ``v / theta + mu weight D^T g``, each part along its own axis only.
+    def solve(
+        self, v: Array, w: Array, theta: float, mu: float, system: tuple[Float64Array, Float64Array], u: Array
+    ) -> None:
+        self.collect(v, w, theta, mu)
+        self.divide(w, system)
+        self.back(w, u)
+        self.spread(w[0], w)
+
+    def collect(self, v: Array, w: Array, theta: float, mu: float) -> None:
+        """Write the right-hand side ``v / theta + mu weight D^T w``, each part in the basis of its axis alone.
 
         Parameters
         ----------
-        v, g, theta, mu
-            See `solve`; ``theta = inf`` leaves `v` out.
-        in_x, in_y : ndarray, shape (H, W)
-            Cosine coefficients along x of v's part and of that of g's x-derivatives, and along y of that of
-            its y-derivatives; overwritten.
+        v, w, theta, mu
+            See `solve`; ``theta = inf`` leaves `v` out. ``w[0, 0]`` is overwritten by the cosine coefficients
+            along x of what the x-derivatives and v give, ``w[0, 1]`` by those along y of what the
+            y-derivatives give.
         """
         height, width = self.shape
         step, one = self.dtype.type(mu * self.weight), self._one_x
         direct = one[:0] if math.isinf(theta) else one / self.dtype.type(theta)
-        to_x = step * self._cos_x, step * self._sin_x, direct, self._plan_x
-        to_y = step * self._cos_y, step * self._sin_y, one[:0], self._plan_y
-        share(lambda a, b: derivatives_adjoint(g, v, 1, a, b, *to_x, in_x), height)
-        share(lambda a, b: derivatives_adjoint(g, v, 0, a, b, *to_y, in_y), width)
+        to_x = step * self._cos_x, step * self._sin_x, direct, self._plan_x, w[0, 0]
+        to_y = step * self._cos_y, step * self._sin_y, one[:0], self._plan_y, w[0, 1]
+        share(lambda a, b: derivatives_adjoint(w, v, 1, a, b, *to_x), height)
+        share(lambda a, b: derivatives_adjoint(w, v, 0, a, b, *to_y), width)
 
-    def spread(self, in_x: Array, in_y: Array, du: Array) -> None:
+    def spread(self, cosines: Array, d: Array) -> None:
         """Write u's derivatives.
 
         Parameters
         ----------
-        in_x, in_y : ndarray, shape (H, W)
-            u's cosine coefficients along x and along y.
-        du : ndarray, shape `range_shape`
+        cosines : ndarray, shape (2, H, W)
+            u's cosine coefficients along x and along y; may be ``d[0]``.
+        d : ndarray, shape `range_shape`
             The derivatives, overwritten.
         """
         height, width = self.shape
         to_x, to_y = (self._cos_x, self._sin_x, self._plan_x), (self._cos_y, self._sin_y, self._plan_y)
-        share(lambda a, b: derivatives(in_y, 0, a, b, *to_y, du), width)
-        share(lambda a, b: derivatives(in_x, 1, a, b, *to_x, du), height)
+        share(lambda a, b: derivatives(cosines[0], 1, a, b, *to_x, d), height)
+        share(lambda a, b: derivatives(cosines[1], 0, a, b, *to_y, d), width)
 
     @staticmethod
     def _derivatives(coefficients: Array, cosine: Array, sine: Array, axis: int, out: Array) -> None:
@@ -180,18 +192,20 @@ class NaturalGradient(CosineGradient):
         result[:-1] -= dy
         return result
 
-    def solve(self, v: Array, g: Array, theta: float, mu: float, inverse: Array, u: Array, du: Array) -> None:
+    def solve(
+        self, v: Array, w: Array, theta: float, mu: float, system: tuple[Float64Array, Float64Array], u: Array
+    ) -> None:
         height, width = self.shape
         real = self.dtype.type
         np.multiply(v, real(1.0 / theta), out=u)
-        u += real(mu) * self.adjoint(g)
+        u += real(mu) * self.adjoint(w)
         plan_y, plan_x, one_y, one_x = self._plan_y, self._plan_x, self._one_y, self._one_x
         share(lambda a, b: cosine(u, 1, a, b, one_x, plan_x, u), height)
         share(lambda a, b: cosine(u, 0, a, b, one_y, plan_y, u), width)
-        u *= inverse
+        divide_by_sum(u, *system, u)
         share(lambda a, b: cosine_back(u, 0, a, b, one_y, plan_y, u), width)
         share(lambda a, b: cosine_back(u, 1, a, b, one_x, plan_x, u), height)
-        du[...] = self.apply(u)
+        self.differentiate(u, w)
 
 
 def _dct(x: Array, axis: int) -> Array:

@@ -16,8 +16,8 @@ from fracbench.model.gradient import GradientOperator
 from fracbench.model.linear import (
     gauss_seidel_dense,
     gauss_seidel_natural,
-    inverse_eigenvalues,
     jacobi_sweep,
+    system_diagonals,
 )
 from fracbench.model.proximal import bregman_update, mean_squared_change, shrink_difference
 from fracbench.model.reflected import NaturalGradient
@@ -179,7 +179,7 @@ class SplitBregman:
         self._started = [False, False]
         self._fused = u_solver == "gauss_seidel" and isinstance(operator, NaturalGradient)
         if u_solver == "exact":
-            self._inverse = inverse_eigenvalues(operator, theta, mu)
+            self._system = system_diagonals(operator, theta, mu)
         elif not self._fused:
             self._ny, self._nx = operator.normal_matrices()
 
@@ -226,10 +226,11 @@ class SplitBregman:
         z, w, gamma, relaxation = self._z[component], self._w, self._threshold, self._relaxation
         if warm and not self._started[component]:
             self._started[component] = True
-            w[...] = self.operator.apply(u)  # d - b for d = D u, b = 0, a state that no z stands for
-            z[...] = (1.0 - relaxation) * w
+            self.operator.differentiate(u, w)  # d - b for d = D u, b = 0, a state that no z stands for
+            np.multiply(w, w.dtype.type(1.0 - relaxation), out=z)
             self._u_step(v, u)
-            z += relaxation * w
+            w *= w.dtype.type(relaxation)
+            z += w
             return
         share(lambda a, b: shrink_difference(z, gamma, w, a, b), w.shape[2])
         self._u_step(v, u)
@@ -239,7 +240,7 @@ class SplitBregman:
         """Replace d - b in w by the derivatives of the next u."""
         operator, w = self.operator, self._w
         if self._solver == "exact":
-            operator.solve(v, w, self._theta, self._mu, self._inverse, u, w)
+            operator.solve(v, w, self._theta, self._mu, self._system, u)
             return
         if self._fused:
             gauss_seidel_natural(u, v, w, self._theta, self._mu)
@@ -249,4 +250,4 @@ class SplitBregman:
             u[...] = jacobi_sweep(u, rhs, self._ny, self._nx, self._theta, self._mu)
         else:
             gauss_seidel_dense(u, rhs, self._ny, self._nx, self._theta, self._mu)
-        w[...] = operator.apply(u)
+        operator.differentiate(u, w)

@@ -176,7 +176,7 @@ def solve_level(
     report = LevelReport(shape=(frame0.shape[0], frame0.shape[1]))
     gradient1 = central_gradient(frame1, params.gradient_scale)
     linear = Linearization(np.empty_like(frame0), np.empty_like(gradient1))
-    u0 = np.zeros_like(u)
+    u0, after = np.zeros_like(u), np.empty_like(u)
     for _ in range(params.n_warps):
         if params.relinearise:
             u0 = u
@@ -186,7 +186,7 @@ def solve_level(
         if params.dual_restart:
             regularizer.restart()
             v_step.restart()
-        u = _alternate(u, linear, params, regularizer, v_step, report, trace)
+        u, after = _alternate(u, after, linear, params, regularizer, v_step, report, trace)
         watch.lap("solving")
         if report.stop[-1] == "diverged":
             break
@@ -199,15 +199,15 @@ def _linearize_rows(arrays: tuple[Array, Array, Array, Array, Array, Array], sta
 
 def _alternate(
     u: Array,
+    after: Array,
     linear: Linearization,
     params: FlowParams,
     regularizer: Regularizer,
     v_step: VStep,
     report: LevelReport,
     trace: bool,
-) -> Array:
-    """Minimise E(u, v) for one linearisation by turns over v and u."""
-    after = np.empty_like(u)
+) -> tuple[Array, Array]:
+    """Minimise E(u, v) for one linearisation by turns over v and u; return u and an array that is free."""
     limit = params.epsilon**2 if params.epsilon_squared else params.epsilon
     stop, count, inner, energies = "max_iter", 0, 0, []
     while count < params.max_iter:
@@ -228,7 +228,7 @@ def _alternate(
     report.stop.append(stop)
     if trace:
         report.energy.append(energies)
-    return u
+    return u, after
 
 
 def _energy(u: Array, linear: Linearization, params: FlowParams, regularizer: Regularizer) -> float:

@@ -294,11 +294,3 @@ def derivatives_adjoint(
             put(work, row, ar, ai)
         for part in range(2):
             _scatter(work, part, plan.results, out, axis, first + part * LANES)
-
-
-@jit
-def multiply_sum(x: Array, y: Array, factor: Array) -> None:
-    """Write ``factor (x + y)`` to `x`; all of shape (H, W)."""
-    for i in range(factor.shape[0]):
-        for j in range(factor.shape[1]):
-            x[i, j] = factor[i, j] * (x[i, j] + y[i, j])

@@ -31,6 +31,7 @@ def test_integer_dtypes_agree(dtype):
 
 def test_sixteen_bit_values_do_not_overflow():
     assert to_gray(np.full((2, 2, 3), 65535, dtype=np.uint16)).max() == 65535
+    assert to_gray(np.full((2, 2), 2**24 + 1)).max() == 2**24 + 1  # more than float32 holds
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
@@ -39,12 +40,12 @@ def test_float_colour_has_the_same_weights_without_the_floor(dtype):
     np.testing.assert_allclose(to_gray(COLOURS.astype(dtype)), expected, rtol=1e-14)
 
 
-@pytest.mark.parametrize("dtype", [bool, np.uint8, np.uint16, np.int16, np.float16, np.float32, np.float64])
-def test_gray_passes_as_a_float64_copy(dtype):
+@pytest.mark.parametrize("dtype", [bool, np.uint8, np.uint16, np.int16, np.int32, np.float16, np.float32, float])
+def test_gray_passes_as_a_copy(dtype):
     image = np.arange(12).reshape(3, 4).astype(dtype)
     image.setflags(write=False)
     gray = to_gray(image)
-    assert gray.dtype == np.float64
+    assert gray.dtype == (np.float32 if dtype in (bool, np.uint8, np.uint16, np.int16) else np.float64)
     assert gray.flags.c_contiguous and gray.flags.writeable
     assert not np.shares_memory(gray, image)
     np.testing.assert_array_equal(gray, image)

@@ -11,7 +11,7 @@ import scipy.special
 from fracbench.errors import InputError
 from fracbench.model.fractional import ZeroGradient, gl_weights, left_derivative_matrix, make_operator
 from fracbench.model.gradient import GradientOperator
-from fracbench.model.linear import inverse_eigenvalues
+from fracbench.model.linear import system_diagonals
 from fracbench.model.reflected import NaturalGradient, ReflectGradient
 
 ALPHAS = (0.0, 0.3, 0.7, 1.0, 1.3, 1.9, 2.0)
@@ -148,9 +148,11 @@ def test_solve_is_the_dense_u_step(rng, boundary, alpha, pad, shape):
     expected = np.linalg.solve(system, rhs.ravel()).reshape(shape)
     for solve in (operator.solve, lambda *args: GradientOperator.solve(operator, *args)):
         u, w = np.empty_like(v), g.copy()
-        solve(v, w, theta, mu, inverse_eigenvalues(operator, theta, mu), u, w)
+        solve(v, w, theta, mu, system_diagonals(operator, theta, mu), u)
         np.testing.assert_allclose(u, expected, atol=1e-12)
         np.testing.assert_allclose(w, operator.apply(u), atol=1e-12)
+    operator.differentiate(v, g)
+    np.testing.assert_allclose(g, operator.apply(v), atol=1e-12)
 
 
 @OPERATORS
@@ -177,7 +179,8 @@ def test_inputs_may_be_read_only(rng, boundary, alpha, pad):
     before = u.copy(), d.copy()
     u.flags.writeable = d.flags.writeable = False
     operator.apply(u), operator.adjoint(d)
-    operator.solve(u, d, 1.0, 1.0, np.ones((5, 6)), np.empty((5, 6)), np.empty_like(d))
+    operator.solve(u, d.copy(), 1.0, 1.0, (np.ones(5), np.ones(6)), np.empty((5, 6)))
+    operator.differentiate(u, d.copy())
     np.testing.assert_array_equal(u, before[0])
     np.testing.assert_array_equal(d, before[1])
 

@@ -11,7 +11,7 @@ from numba import config
 
 from fracbench.model._lanes import LANES
 from fracbench.model.fourier import fourier, line_plan
-from fracbench.model.transforms import cosine, cosine_back, derivatives, derivatives_adjoint, multiply_sum
+from fracbench.model.transforms import cosine, cosine_back, derivatives, derivatives_adjoint
 
 # every radix, products of them, odd primes and their squares; and fewer, as many, and more lines than lanes
 LENGTHS = (1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 15, 16, 22, 25, 30, 49, 60, 97, 146)
@@ -133,10 +133,3 @@ def test_back_undoes_forth_for_any_size(n, count, axis, seed):
     assert np.vdot(out, out) == pytest.approx(np.vdot(x, x), rel=1e-12)  # orthonormal
     cosine_back(out, axis, 0, count, one, plan, out)
     np.testing.assert_allclose(out, x, atol=1e-12)
-
-
-def test_multiply_sum(rng):
-    x, y, factor = rng.normal(size=(3, 5, 6))
-    out = x.copy()
-    multiply_sum(out, y, factor)
-    np.testing.assert_allclose(out, factor * (x + y), atol=1e-15)
