@@ -39,6 +39,7 @@ _SIX_DIGITS = Context(prec=6)
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _NOT_FINITE = re.compile(r"[+-]?(?:nan|inf|infinity)", re.IGNORECASE)
 _KEY = re.compile(r"[A-Za-z_]\w*(?:[./]\w+)*", re.ASCII)
+_HOST_AND_PORT = re.compile(r"(?:[A-Za-z][\w.-]*|\d+(?:\.\d+){3}|\[[\da-fA-F:]+\]):\d+", re.ASCII)
 _CALL = re.compile(r"(\w+)\s*\((.*)\)", re.DOTALL)
 _LEXEME = re.compile(r"'[^']*'|\"[^\"]*\"|.", re.DOTALL)
 _QUOTES = ("'", '"')
@@ -403,8 +404,8 @@ def _split(text: str) -> list[str]:
 
 
 def _looks_like_range(text: str) -> bool:
-    """Tell ``0:2`` (a range, if a wrong one) from ``tcp://host:8786`` and other texts with a colon."""
-    if ":" not in text or "/" in text or "\\" in text:
+    """Tell ``0:2`` (a range, if a wrong one) from ``tcp://host:8786``, ``host:8786`` and other texts."""
+    if ":" not in text or "/" in text or "\\" in text or _HOST_AND_PORT.fullmatch(text):
         return False
     return any(_NUMBER.fullmatch(part.strip()) for part in text.split(":"))
 
