@@ -112,6 +112,18 @@ def _build_parser() -> argparse.ArgumentParser:
         sub.set_defaults(command=command, parser=sub)
         return sub
 
+    # The order is that of `fracbench --help`.
+    _add_grids(add)
+    _add_paper(add)
+    _add_flows(add)
+    _add_upkeep(add)
+    return parser
+
+
+_Add = Callable[..., argparse.ArgumentParser]
+
+
+def _add_grids(add: _Add) -> None:
     _add_overrides(
         add("sweep", _sweep, "run a grid of parameters; write a tidy CSV and a plot", epilog=_GRID_HELP)
     )
@@ -124,6 +136,9 @@ def _build_parser() -> argparse.ArgumentParser:
     experiment = add("experiment", _experiment, "run an experiment of experiments/ and write its artefact")
     experiment.add_argument("name", help="name of the file, without .yaml")
     _add_overrides(experiment)
+
+
+def _add_paper(add: _Add) -> None:
     report = add("report", _report, "run what is missing of the whole paper; write everything on one HTML page")
     report.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="dataset=, paths. and parallel only")
     report.add_argument("--jobs", type=int, help="worker processes (default: 2)")
@@ -134,6 +149,9 @@ def _build_parser() -> argparse.ArgumentParser:
     claims.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="dataset= and paths. only")
     claims.add_argument("--small", action="store_true", help="judge the thinned grids")
     claims.add_argument("--readme", type=Path, metavar="FILE", help="renew the answer between the markers in FILE")
+
+
+def _add_flows(add: _Add) -> None:
     run = add("run", _run, "compute one configured flow; write it as .flo and as a picture")
     _add_overrides(run, grid=False)
     estimate = add("estimate", _estimate, "compute the flow between two images of your own")
@@ -149,6 +167,9 @@ def _build_parser() -> argparse.ArgumentParser:
     estimate.add_argument(
         "overrides", nargs="*", metavar="KEY=VALUE", help="parameters, e.g. alpha=1.2 lambda=0.5"
     )
+
+
+def _add_upkeep(add: _Add) -> None:
     check = add("check", _check, "recompute the stored tables and compare them cell by cell")
     check.add_argument("names", nargs="*", metavar="NAME", help="stored tables (default: all)")
     check.add_argument("--jobs", type=int, default=2, help="worker processes (default: 2)")
@@ -174,7 +195,6 @@ def _build_parser() -> argparse.ArgumentParser:
     data = add("data", _data, "say where the Middlebury data are and whether they are whole; fetch them")
     data.add_argument("--download", action="store_true", help="download what is missing, beside what there is")
     add("methods", _methods, "list the methods and their parameters")
-    return parser
 
 
 _GRID_HELP = (
