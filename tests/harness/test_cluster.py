@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,10 +15,10 @@ import pytest
 pytest.importorskip("distributed", reason="needs the extra `dask`")
 
 from fracbench.errors import DataError, FracbenchError, InputError
-from fracbench.harness import cluster, execute, spool
+from fracbench.harness import cluster, execute, spool, task
 from fracbench.harness.job import Job
 from fracbench.harness.plan import Point, make_plan
-from fracbench.harness.store import Store
+from fracbench.harness.store import Row, Store
 from fracbench.model import SOLVER_VERSION
 
 SMALL = ("sequence=synthetic_flat", "n_scales=1", "n_warps=1")
@@ -71,11 +72,8 @@ def plan(*tokens, address):
     return make_plan([*tokens, *SMALL, "parallel=dask", f"parallel.address={address}"], allow_download=False)
 
 
-def values(report):
-    return {
-        key: {name: value for name, value in row.result.items() if name != "phases"}
-        for key, row in report.rows.items()
-    }
+def values(row):
+    return {name: value for name, value in row.result.items() if name != "phases"}
 
 
 def replace_compute(monkeypatch, instead):
@@ -88,7 +86,7 @@ def replace_compute(monkeypatch, instead):
     monkeypatch.setattr(cluster, "_compute", compute)
 
 
-def test_a_worker_killed_in_mid_sweep_costs_one_retry_and_changes_no_bit(running, store, tmp_path, monkeypatch):
+def test_a_worker_killed_in_mid_sweep_costs_one_retry_and_changes_no_bit(running, store, monkeypatch):
     def instead(job, compute):
         import time
 
@@ -108,9 +106,9 @@ def test_a_worker_killed_in_mid_sweep_costs_one_retry_and_changes_no_bit(running
     assert (report.computed, report.failed) == (9, [])
     assert sorted(row.attempts for row in report.rows.values()) == [1] * 8 + [2]
     assert execute.run(made, store, jobs=1).computed == 0
-    with Store(tmp_path / "here.sqlite") as other:
-        here = execute.run(make_plan([*SMALL, "alpha=0:2:0.25", "max_iter=2"]), other, jobs=2)
-    assert values(here) == values(report)
+    for key, point in made.unique().items():
+        here = Row.from_json(replace(report.rows[key], result=task.run_point(point, None).result).to_json())
+        assert values(here) == values(report.rows[key])
 
 
 def test_what_a_worker_finished_outlives_it(running, store, monkeypatch, tmp_path):
