@@ -118,8 +118,8 @@ class LocalCrew:
         if not self._busy:
             time.sleep(seconds)
         ended, _ = wait(self._busy, seconds, FIRST_COMPLETED)
+        overdue = {future for future, run in self._busy.items() if run.overdue()} - ended
         found = [end for future in ended if (end := self._end(future)) is not None]
-        overdue = [future for future, run in self._busy.items() if run.overdue()]
         return [*found, *map(self._give_up, overdue)]
 
     def _end(self, future: Future[None]) -> tuple[str, Row | None] | None:
@@ -191,7 +191,7 @@ class _Place:
         return future
 
     def began(self) -> float | None:
-        """Return when the estimate that runs now was first heard of, or None if none runs."""
+        """Return when the estimate that runs now was first heard of, or None if none runs; empty the pipe."""
         while not self._bell.empty():
             self._began = time.monotonic() if self._bell.get() else None
         return self._began
