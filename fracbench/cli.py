@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from fracbench import __version__, console
-from fracbench.errors import FracbenchError, InputError, nearest
+from fracbench.errors import FracbenchError, InputError
+from fracbench.parser import Parser
 
 if TYPE_CHECKING:
     from fracbench.harness.experiment import Experiment
@@ -18,22 +19,6 @@ if TYPE_CHECKING:
 EXIT_DONE, EXIT_CHECK, EXIT_INPUT, EXIT_FAILED = 0, 1, 2, 3
 EXIT_INTERRUPTED = 130  # what a shell reports for SIGINT
 _EXITS = "exit codes: 0 done, 1 a check did not hold, 2 bad input, 3 finished but some points failed"
-
-
-class _Parser(argparse.ArgumentParser):
-    """An argument parser whose errors are one line and name the nearest valid word."""
-
-    def error(self, message: str) -> NoReturn:
-        choices = [name for action in self._subparsers_actions() for name in action.choices]
-        given = message.partition("invalid choice: '")[2].partition("'")[0]
-        if given and choices:
-            guess = nearest(given, choices)
-            hint = f": did you mean {guess!r}?" if guess else ""
-            message = f"unknown command {given!r}{hint} (allowed: {', '.join(choices)})"
-        raise InputError(" ".join(message.split()))
-
-    def _subparsers_actions(self) -> list[Any]:
-        return [action for action in self._actions if isinstance(action, argparse._SubParsersAction)]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -65,7 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _dispatch(argv: list[str]) -> int:
     try:
-        arguments = _parse(argv)
+        arguments = _build_parser().parse_words(argv)
         command: Callable[[argparse.Namespace], int] = arguments.command
         return command(arguments)
     finally:
@@ -82,22 +67,8 @@ def console_entry() -> NoReturn:
     sys.exit(code)
 
 
-def _parse(argv: list[str]) -> argparse.Namespace:
-    parser = _build_parser()
-    arguments, rest = parser.parse_known_args(argv)
-    # argparse takes overrides up to the first option only; they may stand after it as well.
-    for word in rest:
-        if word.startswith("-") or "=" not in word or not hasattr(arguments, "overrides"):
-            options = [option for action in arguments.parser._actions for option in action.option_strings]
-            guess = nearest(word, options)
-            hint = f": did you mean {guess}?" if guess else ""
-            raise InputError(f"unexpected argument {word!r}{hint}")
-        arguments.overrides.append(word)
-    return arguments
-
-
-def _build_parser() -> argparse.ArgumentParser:
-    parser = _Parser(
+def _build_parser() -> Parser:
+    parser = Parser(
         prog="fracbench",
         description="Reproduce, check and extend 'Optical flow with fractional order regularization'.",
         epilog=_EXITS,

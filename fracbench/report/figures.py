@@ -21,6 +21,7 @@ from fracbench.report.style import (
     SHADE,
     STAR,
     axis_label,
+    caption_style,
     equation,
     house_style,
     legend_below,
@@ -37,7 +38,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_LINES = ("--", "-.", ":", "-")
 MARKERS = ("o", "*", "x", "D", "^", "+")
 """The markers of the paper's figures 3 and 4, in the order of their captions."""
 
@@ -354,36 +354,3 @@ def _draw_cells(ax: Axes, cells: pd.DataFrame, metric: str) -> None:
     row, column = np.unravel_index(np.nanargmin(grid), grid.shape)
     ax.plot([column], [row], gid="minimum", **STAR, color="white")
     ax.set_title(f"min at {equation(x, cells.columns[column])}, {equation(y, cells.index[row])}")
-
-
-def caption_style(style: str) -> tuple[str, str]:
-    """Take a line's style in a caption apart; its colour is not the caption's to choose.
-
-    Parameters
-    ----------
-    style : str
-        Line, marker or both, e.g. ``"--*"``.
-
-    Returns
-    -------
-    line, marker : str
-        As matplotlib has them: ``""`` for no line of its own, ``"None"`` for no marker.
-
-    Raises
-    ------
-    InputError
-        There is no such marker, or nothing at all.
-    """
-    from matplotlib.lines import Line2D
-
-    line = next((line for line in _LINES if style.startswith(line)), "")
-    marker = style.removeprefix(line) or "None"
-    if not style.strip():
-        raise InputError(f"styles: {style!r} names neither a line nor a marker, as --* does")
-    known = [name for name in Line2D.markers if isinstance(name, str) and name.strip()]
-    if marker not in known:
-        shown = " ".join(name for name in known if len(name) == 1)
-        raise InputError(
-            f"styles: unknown marker {marker!r} in {style!r} (allowed: {' '.join(_LINES)} and then one of {shown})"
-        )
-    return line, marker

@@ -41,7 +41,7 @@ class Family:
     logy: bool = False
 
     def __post_init__(self) -> None:
-        from fracbench.report.figures import caption_style
+        from fracbench.report.style import caption_style
 
         if self.shade is not None and len(self.shade) != 2:
             raise InputError(f"option 'shade' must be two numbers, got {self.shade}")
