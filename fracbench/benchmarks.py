@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fracbench import console
@@ -64,28 +65,24 @@ def race(tokens: Sequence[str], *, repeats: int, threads: int, only: Sequence[st
     Raises
     ------
     InputError
-        Numbers below 1, unknown contenders.
+        Unknown contenders, and overrides that stand for no plan.
     """
     import pandas as pd
 
     from fracbench.harness import bench as racing
-    from fracbench.harness.provenance import machine
-    from fracbench.report import benchmark, tables
+    from fracbench.report import benchmark
     from fracbench.report.style import save_figure
 
     racers = racing.contenders(only)
-    plan = make_plan(tokens)
-    folder = tables.ensure_folder(plan.config.results / "runs" / "bench")
+    plan, stem = make_plan(tokens), _stem(tokens, f"bench_{threads}_threads")
     with console.progress(len(plan.points) * len(racers) * repeats, "bench") as advance:
         records = racing.run(racers, tokens, repeats=repeats, threads=threads, on_lap=advance)
     summary = benchmark.summarise(records, racing.YARDSTICK)
-    console.show_table(
-        summary.round(4), f"mean over {len(plan.points)} sequences, {threads} thread(s), {plan.dataset}"
-    )
-    console.say(f"ratio: to {racing.YARDSTICK}; seconds: median of {repeats} rounds; on {machine()['cpu']}")
-    stem = folder / f"bench_{threads}_threads"
+    title = f"mean over {len(plan.points)} sequences, {threads} thread(s), {plan.dataset}"
+    note = f"ratio: to {racing.YARDSTICK}; seconds: median of {repeats} rounds"
+    _write(pd.DataFrame(records), stem, title, note, shown=summary)
     figure = benchmark.error_against_time(summary, f"Error against time, {threads} thread(s)")
-    for path in [tables.write_table(pd.DataFrame(records), stem), *save_figure(figure, stem)]:
+    for path in save_figure(figure, stem):
         console.say(f"wrote {path}")
 
 
@@ -100,23 +97,17 @@ def grow(tokens: Sequence[str], *, repeats: int, threads: int) -> None:
         Timed rounds.
     threads : int
         Compared with one.
-
     """
     import pandas as pd
 
     from fracbench.harness import growth
 
-    tables = []
+    stem, tables = _stem(tokens, f"size_{threads}_threads"), []
     with console.progress(2 * repeats * (len(growth.SHAPES) + 1), "bench") as advance:
         for boundary in ("reflect", "zero"):
             records = growth.by_size(boundary=boundary, threads=threads, repeats=repeats, on_lap=advance)
             tables.append(pd.DataFrame(records).assign(boundary=boundary))
-    _write(
-        pd.concat(tables),
-        f"size_{threads}_threads",
-        f"alpha 1.2, fixed iterations, {threads} threads against one",
-        tokens,
-    )
+    _write(pd.concat(tables), stem, f"alpha 1.2, fixed iterations, {threads} threads against one")
 
 
 def share(tokens: Sequence[str], *, repeats: int, jobs: int) -> None:
@@ -130,15 +121,15 @@ def share(tokens: Sequence[str], *, repeats: int, jobs: int) -> None:
         Timed rounds.
     jobs : int
         Worker processes, compared with one.
-
     """
     import pandas as pd
 
     from fracbench.harness import growth
 
+    stem = _stem(tokens, f"jobs_{jobs}")
     with console.progress(2 * repeats, "bench") as advance:
         record = growth.by_jobs(tokens, jobs, repeats=repeats, on_lap=advance)
-    _write(pd.DataFrame([record]), f"jobs_{jobs}", " ".join(tokens), tokens)
+    _write(pd.DataFrame([record]), stem, " ".join(tokens))
 
 
 def weigh(tokens: Sequence[str], *, repeats: int) -> None:
@@ -150,21 +141,35 @@ def weigh(tokens: Sequence[str], *, repeats: int) -> None:
         Overrides: ``paths.results`` only matters.
     repeats : int
         Timed rounds.
-
     """
     import pandas as pd
 
     from fracbench.harness import growth
 
+    stem = _stem(tokens, "roofline")
     records = [growth.roofline(shape, repeats=repeats) for shape in growth.SHAPES[:2]]
-    _write(pd.DataFrame(records), "roofline", "one iteration, reflect, float32, one thread", tokens)
+    _write(pd.DataFrame(records), stem, "one iteration, reflect, float32, one thread")
 
 
-def _write(table: pd.DataFrame, name: str, title: str, tokens: Sequence[str]) -> None:
+def _stem(tokens: Sequence[str], name: str) -> Path:
+    """Return where results go, without suffix, before anything is measured in vain."""
+    from fracbench.report.tables import ensure_folder
+
+    return ensure_folder(make_plan(tokens).config.results / "runs" / "bench") / name
+
+
+def _write(
+    table: pd.DataFrame,
+    stem: Path,
+    title: str,
+    note: str = "medians of the rounds",
+    *,
+    shown: pd.DataFrame | None = None,
+) -> None:
+    """Show a table, or what sums it up, and write it."""
     from fracbench.harness.provenance import machine
-    from fracbench.report import tables
+    from fracbench.report.tables import write_table
 
-    folder = tables.ensure_folder(make_plan(tokens).config.results / "runs" / "bench")
-    console.show_table(table.round(4), title)
-    console.say(f"medians of the rounds; on {machine()['cpu']}")
-    console.say(f"wrote {tables.write_table(table, folder / name)}")
+    console.show_table((table if shown is None else shown).round(4), title)
+    console.say(f"{note}; on {machine()['cpu']}")
+    console.say(f"wrote {write_table(table, stem)}")

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from fracbench import __version__, console
-from fracbench.errors import FracbenchError, InputError, nearest
+from fracbench.errors import FracbenchError, InputError
+from fracbench.parser import Parser
 
 if TYPE_CHECKING:
     from fracbench.harness.experiment import Experiment
@@ -18,22 +19,6 @@ if TYPE_CHECKING:
 EXIT_DONE, EXIT_CHECK, EXIT_INPUT, EXIT_FAILED = 0, 1, 2, 3
 EXIT_INTERRUPTED = 130  # what a shell reports for SIGINT
 _EXITS = "exit codes: 0 done, 1 a check did not hold, 2 bad input, 3 finished but some points failed"
-
-
-class _Parser(argparse.ArgumentParser):
-    """An argument parser whose errors are one line and name the nearest valid word."""
-
-    def error(self, message: str) -> NoReturn:
-        choices = [name for action in self._subparsers_actions() for name in action.choices]
-        given = message.partition("invalid choice: '")[2].partition("'")[0]
-        if given and choices:
-            guess = nearest(given, choices)
-            hint = f": did you mean {guess!r}?" if guess else ""
-            message = f"unknown command {given!r}{hint} (allowed: {', '.join(choices)})"
-        raise InputError(" ".join(message.split()))
-
-    def _subparsers_actions(self) -> list[Any]:
-        return [action for action in self._actions if isinstance(action, argparse._SubParsersAction)]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -65,7 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _dispatch(argv: list[str]) -> int:
     try:
-        arguments = _parse(argv)
+        arguments = _build_parser().parse_words(argv)
         command: Callable[[argparse.Namespace], int] = arguments.command
         return command(arguments)
     finally:
@@ -82,22 +67,8 @@ def console_entry() -> NoReturn:
     sys.exit(code)
 
 
-def _parse(argv: list[str]) -> argparse.Namespace:
-    parser = _build_parser()
-    arguments, rest = parser.parse_known_args(argv)
-    # argparse takes overrides up to the first option only; they may stand after it as well.
-    for word in rest:
-        if word.startswith("-") or "=" not in word or not hasattr(arguments, "overrides"):
-            options = [option for action in arguments.parser._actions for option in action.option_strings]
-            guess = nearest(word, options)
-            hint = f": did you mean {guess}?" if guess else ""
-            raise InputError(f"unexpected argument {word!r}{hint}")
-        arguments.overrides.append(word)
-    return arguments
-
-
-def _build_parser() -> argparse.ArgumentParser:
-    parser = _Parser(
+def _build_parser() -> Parser:
+    parser = Parser(
         prog="fracbench",
         description="Reproduce, check and extend 'Optical flow with fractional order regularization'.",
         epilog=_EXITS,
@@ -112,6 +83,18 @@ def _build_parser() -> argparse.ArgumentParser:
         sub.set_defaults(command=command, parser=sub)
         return sub
 
+    # The order is that of `fracbench --help`.
+    _add_grids(add)
+    _add_paper(add)
+    _add_flows(add)
+    _add_upkeep(add)
+    return parser
+
+
+_Add = Callable[..., argparse.ArgumentParser]
+
+
+def _add_grids(add: _Add) -> None:
     _add_overrides(
         add("sweep", _sweep, "run a grid of parameters; write a tidy CSV and a plot", epilog=_GRID_HELP)
     )
@@ -124,6 +107,9 @@ def _build_parser() -> argparse.ArgumentParser:
     experiment = add("experiment", _experiment, "run an experiment of experiments/ and write its artefact")
     experiment.add_argument("name", help="name of the file, without .yaml")
     _add_overrides(experiment)
+
+
+def _add_paper(add: _Add) -> None:
     report = add("report", _report, "run what is missing of the whole paper; write everything on one HTML page")
     report.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="dataset=, paths. and parallel only")
     report.add_argument("--jobs", type=int, help="worker processes (default: 2)")
@@ -134,6 +120,9 @@ def _build_parser() -> argparse.ArgumentParser:
     claims.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="dataset= and paths. only")
     claims.add_argument("--small", action="store_true", help="judge the thinned grids")
     claims.add_argument("--readme", type=Path, metavar="FILE", help="renew the answer between the markers in FILE")
+
+
+def _add_flows(add: _Add) -> None:
     run = add("run", _run, "compute one configured flow; write it as .flo and as a picture")
     _add_overrides(run, grid=False)
     estimate = add("estimate", _estimate, "compute the flow between two images of your own")
@@ -149,6 +138,9 @@ def _build_parser() -> argparse.ArgumentParser:
     estimate.add_argument(
         "overrides", nargs="*", metavar="KEY=VALUE", help="parameters, e.g. alpha=1.2 lambda=0.5"
     )
+
+
+def _add_upkeep(add: _Add) -> None:
     check = add("check", _check, "recompute the stored tables and compare them cell by cell")
     check.add_argument("names", nargs="*", metavar="NAME", help="stored tables (default: all)")
     check.add_argument("--jobs", type=int, default=2, help="worker processes (default: 2)")
@@ -174,7 +166,6 @@ def _build_parser() -> argparse.ArgumentParser:
     data = add("data", _data, "say where the Middlebury data are and whether they are whole; fetch them")
     data.add_argument("--download", action="store_true", help="download what is missing, beside what there is")
     add("methods", _methods, "list the methods and their parameters")
-    return parser
 
 
 _GRID_HELP = (

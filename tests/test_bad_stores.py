@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from fracbench.harness.store import APPLICATION_ID, SCHEMA_VERSION, Store
+from fracbench.harness.database import APPLICATION_ID, SCHEMA_VERSION
+from fracbench.harness.store import Store
 
 POINT = ("alpha=1", "sequence=synthetic_flat", "n_scales=1", "n_warps=1", "max_iter=1")
 PLACE = Path("results/runs/store.sqlite")

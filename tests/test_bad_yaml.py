@@ -99,7 +99,7 @@ CODE = [
 #: Names that would lead out of the results folder.
 ESCAPES = [
     ("region/own.yaml", "", REGION + "{name: ../../evil, " + BOX + "}", "`name` must be a name of"),
-    ("region/own.yaml", "", REGION + "{name: /tmp/evil, " + BOX + "}", "`name` must be a name of"),
+    ("region/own.yaml", "", REGION + "{name: /elsewhere/evil, " + BOX + "}", "`name` must be a name of"),
     ("region/own.yaml", "", REGION + "{name: .., " + BOX + "}", "`name` must be a name of"),
     ("region/own.yaml", "", REGION + '{name: "a\\\\b", ' + BOX + "}", "`name` must be a name of"),
     (
@@ -141,8 +141,12 @@ EXPERIMENTS = [
     ("grid: [sequence=synthetic_flat]\noptions: {x: alpha}", "options: unknown key 'x'"),
     ("grids: {}\nartefact: frames\noptions: {sequences: venus}", "options: `sequences` must be a list"),
     ("grids: {}\nartefact: family\noptions: {shade: [1]}", "option 'shade' must be two numbers"),
+    ("grids: {}\nartefact: family\noptions: {styles: ['--*', 'r--']}", "styles: unknown marker 'r--' in 'r--'"),
+    ("grids: {}\nartefact: family\noptions: {styles: ['-Q']}", "styles: unknown marker 'Q' in '-Q'"),
+    ("grids: {}\nartefact: family\noptions: {styles: ['']}", "styles: '' names neither a line nor a marker"),
+    ("grids: {}\nartefact: family\noptions: {styles: []}", "option 'styles' must name a line or a marker"),
     ("grid: [sequence=synthetic_flat, dataset=auto]", "the key 'dataset' is given twice"),
-    ("grid: [sequence=synthetic_flat, paths.results=/tmp/evil]", "is said on the command line"),
+    ("grid: [sequence=synthetic_flat, paths.results=/elsewhere]", "is said on the command line"),
     ("grid: [sequence=synthetic_flat, parallel.jobs=99]", "is said on the command line"),
     ("grid: !!python/object/apply:boom.go []", "could not determine a constructor"),
 ]  # fmt: skip

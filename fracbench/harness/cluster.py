@@ -11,16 +11,18 @@ import importlib.util
 import logging
 import os
 import tempfile
+import threading
 import time
 import uuid
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
 
 from fracbench import console
 from fracbench.errors import FracbenchError, InputError
+from fracbench.harness import provenance
 from fracbench.harness.job import Job
 from fracbench.harness.store import Row
 from fracbench.model import SOLVER_VERSION
@@ -28,6 +30,7 @@ from fracbench.model import SOLVER_VERSION
 _CONNECT_SECONDS = 10
 _POLL_SECONDS = 1.0
 _FLUSH_SECONDS = 1.0
+_LOOK_SECONDS = 0.2
 #: A worker that is missing in so many looks in a row is given up: by then its last event has arrived.
 _MISSES = 2
 
@@ -149,9 +152,7 @@ class DaskCrew:
             raise FracbenchError(f"worker {worker}: {type(error).__name__}: {error}") from error
 
     def close(self) -> None:
-        """Leave the cluster; points under way there run to their end unheard."""
-        for _, future in self._busy.values():
-            future.cancel()
+        """Leave the cluster; points under way there are given up, and their workers start anew."""
         self._client.close(timeout=1)
 
 
@@ -184,8 +185,6 @@ def _files(job: Job) -> Mapping[str, bytes]:
 
 def _compute(job: Job, files: Mapping[str, bytes], topic: str) -> bool:
     """In a worker: compute a job and send its row; False if the data are wanted first."""
-    from distributed import get_worker
-
     from fracbench.harness import task
 
     if job.solver_version != SOLVER_VERSION:
@@ -196,9 +195,64 @@ def _compute(job: Job, files: Mapping[str, bytes], topic: str) -> bool:
         _unpack(job, files)
     elif job.point.dataset == "middlebury" and not task.holds(job.point.data_digest):
         return False
-    worker = get_worker()
-    task.work(job, lambda row: worker.log_event(topic, row.to_json()), _leave)
+    with _wanted():
+        _work(job, topic)
     return True
+
+
+@contextmanager
+def _wanted() -> Iterator[None]:
+    """End this process when nobody waits for its point any more: Dask cannot stop a task that runs."""
+    from distributed import get_worker
+
+    worker, ended = get_worker(), threading.Event()
+    key = worker.get_current_task()
+
+    def watch() -> None:
+        while not ended.wait(_LOOK_SECONDS):
+            if worker.state.tasks[key].state == "cancelled":
+                os._exit(1)
+
+    threading.Thread(target=watch, name="wanted", daemon=True).start()
+    try:
+        yield
+    finally:
+        ended.set()
+
+
+def _work(job: Job, topic: str) -> None:
+    """Compute a job and send its row; when its time is over, send the row that says so and end the process."""
+    from distributed import get_worker
+
+    from fracbench.harness import task
+
+    worker = get_worker()
+    settled = threading.Lock()  # taken by whoever is first, the result or the clock
+
+    def expire() -> None:
+        if settled.acquire(blocking=False):
+            worker.log_event(topic, job.expired(provenance.machine()).to_json())
+            time.sleep(_FLUSH_SECONDS)  # it is on its way
+            os._exit(1)
+
+    row = job.row(task.run_point(job.point, job.folder, lambda: _alarm(job.timeout, expire)))
+    if not settled.acquire(blocking=False):
+        threading.Event().wait()  # the process is about to end
+    worker.log_event(topic, row.to_json())
+
+
+@contextmanager
+def _alarm(seconds: float | None, ring: Callable[[], None]) -> Iterator[None]:
+    if seconds is None:
+        yield
+        return
+    timer = threading.Timer(seconds, ring)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def _unpack(job: Job, files: Mapping[str, bytes]) -> None:
@@ -212,8 +266,3 @@ def _unpack(job: Job, files: Mapping[str, bytes]) -> None:
         for file, content in files.items():
             (folder / file).write_bytes(content)
         task.hold(middlebury.load(job.point.sequence, name))
-
-
-def _leave() -> None:
-    time.sleep(_FLUSH_SECONDS)  # the last event is on its way
-    os._exit(1)

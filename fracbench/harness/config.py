@@ -76,7 +76,9 @@ class ParallelConfig:
         if self.address is None:
             return
         if not _ADDRESS.fullmatch(self.address):
-            raise InputError(f"parallel.address must be like tcp://HOST:8786, got {self.address!r}")
+            whole = f"tcp://{self.address}"
+            hint = f": did you mean {whole}?" if _ADDRESS.fullmatch(whole) else ""
+            raise InputError(f"parallel.address must be like tcp://HOST:8786, got {self.address!r}{hint}")
         if self.backend != "dask":
             raise InputError(f"parallel.address={self.address} needs parallel=dask")
 

@@ -18,7 +18,7 @@ class Outcome:
     Attributes
     ----------
     status : str
-        ``done``, ``failed``, ``diverged`` or ``timeout``; the parent adds ``crashed``.
+        ``done``, ``failed`` or ``diverged``; whoever ends the process adds ``timeout`` and ``crashed``.
     error : str or None
         What went wrong.
     result : dict
@@ -68,6 +68,11 @@ class Job:
     commit: Mapping[str, Any]
     folder: Path | None = None
     timeout: float | None = None
+
+    def expired(self, machine: dict[str, Any]) -> Row:
+        """Return the row that says that the time is over."""
+        message = f"not finished within the {self.timeout:g} s allowed"
+        return self.row(Outcome("timeout", message, {}, None, None, machine))
 
     def row(self, outcome: Outcome) -> Row:
         """Return the row for the store."""

@@ -13,8 +13,9 @@ from fracbench.data.regions import Region, shifted
 from fracbench.data.sequence import list_sequences, shape_of
 from fracbench.errors import InputError, unknown_name
 from fracbench.harness.config import GROUPS, PARALLEL, RunConfig, group_options, known_keys, load_config
-from fracbench.harness.grid import MAX_POINTS, Axis, Grid, canonical_number, expand_names, parse_overrides
+from fracbench.harness.grid import Axis, Grid, expand_names, parse_overrides
 from fracbench.harness.store import canonical_json
+from fracbench.harness.values import MAX_POINTS, canonical_number
 from fracbench.model import SOLVER_VERSION
 
 #: Keys that cannot be swept.

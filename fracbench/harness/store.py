@@ -1,22 +1,14 @@
 """The store: one SQLite file with one row per point that was run, whether it ended well or not.
 
 A row is committed in a transaction of its own as soon as its point is finished, so whatever stops a sweep
-loses only the points that were under way. The journal is WAL: readers go on while a row is written, and
-several sweeps may share a store (a writer waits up to `BUSY_SECONDS` for another). On a file system
-without shared memory, such as most network mounts, SQLite keeps its rollback journal instead, as safe
-though slower.
-
-``synchronous`` is FULL. NORMAL would survive ``kill -9``, but a power cut could take back the last
-commits; a point costs seconds to compute and a sync milliseconds.
+loses only the points that were under way. `fracbench.harness.database` knows the file.
 """
 
 from __future__ import annotations
 
 import json
 import math
-import os
 import sqlite3
-import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
@@ -26,44 +18,10 @@ from types import TracebackType
 from typing import Any, Self
 
 from fracbench.errors import FracbenchError, InputError, unknown_name
+from fracbench.harness.database import DAMAGED, STATUSES, explain, open_to_read, open_to_write, transaction
 
-STATUSES = ("done", "failed", "crashed", "timeout", "diverged")
-SCHEMA_VERSION = 1
-APPLICATION_ID = int.from_bytes(b"FRCB", "big")
-"""In the header of every store, so that another program's database is never taken for one."""
-BUSY_SECONDS = 30.0
-
-_CREATE = (
-    f"""CREATE TABLE points (
-        key TEXT PRIMARY KEY,
-        identity TEXT NOT NULL,
-        spec TEXT NOT NULL,
-        solver_version INTEGER NOT NULL,
-        status TEXT NOT NULL CHECK (status IN {STATUSES}),
-        error TEXT,
-        result TEXT NOT NULL,
-        seconds REAL,
-        peak_mib REAL,
-        provenance TEXT NOT NULL,
-        attempts INTEGER NOT NULL,
-        created TEXT NOT NULL
-    )""",
-    "CREATE INDEX points_identity ON points (identity)",
-    f"PRAGMA application_id = {APPLICATION_ID}",
-    f"PRAGMA user_version = {SCHEMA_VERSION}",
-)
 _JSON_COLUMNS = ("spec", "result", "provenance")
 _KEYS_PER_QUERY = 500  # below the number of parameters that any SQLite accepts
-
-_REMEDIES = {
-    sqlite3.SQLITE_NOTADB: "is not a fracbench store; name another file or move this one away",
-    sqlite3.SQLITE_CORRUPT: "is damaged; move it away (`sqlite3 FILE .recover` saves what can be read)",
-    sqlite3.SQLITE_FULL: "the disk is full; free some space and run the same command again",
-    sqlite3.SQLITE_READONLY: "cannot be written; make the file and its folder writable",
-    sqlite3.SQLITE_CANTOPEN: "cannot be opened; check that it is a file, in a folder you may write to",
-    sqlite3.SQLITE_IOERR: "the disk cannot be read or written; check its space, quota and health",
-    sqlite3.SQLITE_BUSY: f"another process has held it for {BUSY_SECONDS:g} s; run the same command again",
-}
 
 
 class StoreError(FracbenchError):
@@ -172,9 +130,9 @@ class Store:
         if self.path.is_dir():
             raise InputError(f"store {self.path}: is a folder; name a file in it")
         try:
-            self._db = _open_to_read(self.path) if readonly else _open_to_write(self.path)
+            self._db = open_to_read(self.path) if readonly else open_to_write(self.path)
         except (OSError, sqlite3.Error) as exc:
-            raise InputError(f"store {self.path}: {_explain(exc)}") from exc
+            raise InputError(f"store {self.path}: {explain(exc)}") from exc
 
     def __enter__(self) -> Self:
         return self
@@ -241,13 +199,13 @@ class Store:
         try:
             return [_decode(values) for values in found]
         except ValueError as exc:
-            raise StoreError(f"store {self.path}: {_REMEDIES[sqlite3.SQLITE_CORRUPT]} ({exc})") from exc
+            raise StoreError(f"store {self.path}: {DAMAGED} ({exc})") from exc
 
     @contextmanager
     def _transaction(self) -> Iterator[None]:
         if self.readonly:
             raise StoreError(f"store {self.path}: opened for reading only")
-        with self._translated(), _transaction(self._db):
+        with self._translated(), transaction(self._db):
             yield
 
     @contextmanager
@@ -255,7 +213,7 @@ class Store:
         try:
             yield
         except sqlite3.Error as exc:
-            raise StoreError(f"store {self.path}: {_explain(exc)}") from exc
+            raise StoreError(f"store {self.path}: {explain(exc)}") from exc
 
 
 def canonical_json(value: object) -> str:
@@ -300,119 +258,3 @@ def _finite(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_finite(item) for item in value]
     return value
-
-
-def _open_to_write(path: Path) -> sqlite3.Connection:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    db = _connect(path, "mode=rwc")
-    with _closed_on_error(db):
-        # The lock comes before the look, so that two processes never both create the table.
-        with _transaction(db):
-            if _is_blank(db, path):
-                _create(db)
-        _prefer_wal(db)
-        db.execute("PRAGMA synchronous = FULL")
-    return db
-
-
-def _open_to_read(path: Path) -> sqlite3.Connection:
-    if not path.exists():
-        return _empty()
-    db = _connect(path, _reading_mode(path))
-    with _closed_on_error(db):
-        db.execute("PRAGMA query_only = ON")
-        with _transaction(db, "BEGIN"):
-            blank = _is_blank(db, path)
-    if blank:
-        db.close()
-        return _empty()
-    return db
-
-
-def _reading_mode(path: Path) -> str:
-    if os.access(path, os.W_OK) and os.access(path.parent, os.W_OK):
-        return "mode=rw"  # nothing is written, but who may write takes the WAL's files away in the end
-    # WAL needs files beside the store; where there are none and none can be made, nobody is writing.
-    at_rest = not path.with_name(f"{path.name}-wal").exists() and not os.access(path.parent, os.W_OK)
-    return "mode=ro&immutable=1" if at_rest else "mode=ro"
-
-
-@contextmanager
-def _closed_on_error(db: sqlite3.Connection) -> Iterator[None]:
-    try:
-        yield
-    except BaseException:
-        db.close()
-        raise
-
-
-def _empty() -> sqlite3.Connection:
-    db = sqlite3.connect(":memory:", isolation_level=None)
-    _create(db)
-    return db
-
-
-def _connect(path: Path, query: str) -> sqlite3.Connection:
-    uri = f"{path.resolve().as_uri()}?{query}"
-    return sqlite3.connect(uri, uri=True, timeout=BUSY_SECONDS, isolation_level=None)
-
-
-@contextmanager
-def _transaction(db: sqlite3.Connection, begin: str = "BEGIN IMMEDIATE") -> Iterator[None]:
-    db.execute(begin)
-    try:
-        yield
-        db.execute("COMMIT")
-    except BaseException:
-        if db.in_transaction:  # SQLite itself rolls back on some errors
-            db.execute("ROLLBACK")
-        raise
-
-
-def _is_blank(db: sqlite3.Connection, path: Path) -> bool:
-    """Tell an empty file from a store of this version; refuse everything else."""
-    application, version, tables = (
-        db.execute(query).fetchone()[0]
-        for query in ("PRAGMA application_id", "PRAGMA user_version", "SELECT count(*) FROM sqlite_master")
-    )
-    if application == version == tables == 0:
-        return True
-    if application != APPLICATION_ID:
-        raise InputError(f"store {path}: is another program's SQLite database; name another file")
-    if version != SCHEMA_VERSION:
-        age, remedy = ("newer", "upgrade it") if version > SCHEMA_VERSION else ("older", "move the file away")
-        schemas = f"schema {version}, this one has {SCHEMA_VERSION}"
-        raise InputError(f"store {path}: written by a fracbench {age} than this ({schemas}); {remedy}")
-    if not {*_COLUMNS} <= {name for _, name, *_ in db.execute("PRAGMA table_info(points)")}:
-        raise InputError(f"store {path}: {_REMEDIES[sqlite3.SQLITE_CORRUPT]} (columns are missing)")
-    return False
-
-
-def _create(db: sqlite3.Connection) -> None:
-    for statement in _CREATE:
-        db.execute(statement)
-
-
-def _prefer_wal(db: sqlite3.Connection) -> None:
-    deadline = time.monotonic() + BUSY_SECONDS
-    while True:
-        try:
-            db.execute("PRAGMA journal_mode = WAL")
-            return
-        except sqlite3.OperationalError as exc:
-            # Unlike every other statement, this one does not wait for another process by itself.
-            if _code(exc) != sqlite3.SQLITE_BUSY or time.monotonic() > deadline:
-                raise
-            time.sleep(0.02)
-
-
-def _code(exc: BaseException) -> int:
-    """Return SQLite's primary result code, or 0."""
-    return getattr(exc, "sqlite_errorcode", 0) & 0xFF
-
-
-def _explain(exc: Exception) -> str:
-    if isinstance(exc, OSError):
-        return f"{_REMEDIES[sqlite3.SQLITE_CANTOPEN]} ({exc.strerror})"
-    remedy = _REMEDIES.get(_code(exc))
-    return f"{remedy} ({exc})" if remedy else str(exc)

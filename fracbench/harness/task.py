@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -19,10 +18,9 @@ from fracbench.data.sequence import Sequence, load_sequence
 from fracbench.errors import FracbenchError, InputError
 from fracbench.evaluation.metrics import flow_errors
 from fracbench.harness import provenance
-from fracbench.harness.job import Job, Outcome
+from fracbench.harness.job import Outcome
 from fracbench.harness.memory import peak_mib, reset_peak
 from fracbench.harness.plan import Point
-from fracbench.harness.store import Row
 from fracbench.methods.registry import get_method
 from fracbench.methods.variational import energy_growth
 from fracbench.model.params import FlowParams
@@ -34,49 +32,6 @@ GROWN = 100.0
 _DEFAULTS = FlowParams()
 
 Guard = Callable[[], AbstractContextManager[Any]]
-
-
-def work(job: Job, deliver: Callable[[Row], None], leave: Callable[[], None]) -> None:
-    """Compute a job and deliver its row, once.
-
-    Parameters
-    ----------
-    job : Job
-        What to compute.
-    deliver : callable
-        Brings the row to where it outlives this process.
-    leave : callable
-        Ends this process: called when the time is over, after the row that says so is delivered.
-    """
-    settled = threading.Lock()  # taken by whoever is first, the result or the clock
-
-    def expire() -> None:
-        if settled.acquire(blocking=False):
-            message = f"not finished within the {job.timeout:g} s allowed"
-            try:
-                deliver(job.row(Outcome("timeout", message, {}, None, None, provenance.machine())))
-            finally:
-                leave()
-
-    outcome = run_point(job.point, job.folder, lambda: _alarm(job.timeout, expire))
-    if settled.acquire(blocking=False):
-        deliver(job.row(outcome))
-    else:
-        threading.Event().wait()  # the process is about to end
-
-
-@contextmanager
-def _alarm(seconds: float | None, ring: Callable[[], None]) -> Iterator[None]:
-    if seconds is None:
-        yield
-        return
-    timer = threading.Timer(seconds, ring)
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
 
 
 def run_point(point: Point, folder: Path | None, guard: Guard = nullcontext) -> Outcome:

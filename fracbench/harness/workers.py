@@ -11,12 +11,13 @@ import warnings
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
 from fracbench.errors import FracbenchError
-from fracbench.harness import spool
+from fracbench.harness import provenance, spool
 from fracbench.harness.job import Job
 from fracbench.harness.store import Row
 
@@ -53,12 +54,26 @@ class Crew(Protocol):
         ...
 
 
+@dataclass
+class _Run:
+    """A job in its place."""
+
+    place: _Place
+    job: Job
+
+    def overdue(self) -> bool:
+        """Tell whether the estimate, which alone is timed, runs for longer than it may."""
+        began, allowed = self.place.began(), self.job.timeout
+        return began is not None and allowed is not None and time.monotonic() - began > allowed
+
+
 class LocalCrew:
     """Processes on this machine, one for each place.
 
     Each place has an executor of its own, so that a death concerns one job and no other. A row comes by the
     spool: a process that dies right after it has written one has lost nothing. Idle processes stay for the next
-    crew, as starting one takes a second.
+    crew, as starting one takes a second. The time that a job may take is kept here, where nothing that it does can
+    stop the clock.
 
     Parameters
     ----------
@@ -72,7 +87,7 @@ class LocalCrew:
 
     def __init__(self, jobs: int, folder: Path) -> None:
         self._jobs, self._folder = jobs, folder.resolve()
-        self._busy: dict[Future[None], tuple[_Place, Job]] = {}
+        self._busy: dict[Future[None], _Run] = {}
         self._stillborn = 0
 
     def free(self) -> int:
@@ -89,11 +104,11 @@ class LocalCrew:
                 future = place.submit(partial(_compute, job, self._folder, os.getpid()))
             except BrokenProcessPool:  # it died while it was idle
                 continue
-            self._busy[future] = (place, job)
+            self._busy[future] = _Run(place, job)
             return
 
     def wait(self, seconds: float) -> list[tuple[str, Row | None]]:
-        """Return the keys of jobs that ended, with their rows; no row if the process died.
+        """Return the keys of jobs that ended or took too long, with their rows; no row if the process died.
 
         Raises
         ------
@@ -103,25 +118,32 @@ class LocalCrew:
         if not self._busy:
             time.sleep(seconds)
         ended, _ = wait(self._busy, seconds, FIRST_COMPLETED)
-        return [found for future in ended if (found := self._end(future)) is not None]
+        overdue = {future for future, run in self._busy.items() if run.overdue()} - ended
+        found = [end for future in ended if (end := self._end(future)) is not None]
+        return [*found, *map(self._give_up, overdue)]
 
     def _end(self, future: Future[None]) -> tuple[str, Row | None] | None:
         from joblib.externals.loky.process_executor import BrokenProcessPool
 
-        place, job = self._busy.pop(future)
+        run = self._busy.pop(future)
         error = future.exception()
         if error is None:
-            _idle.append(place)
+            _idle.append(run.place)
         else:
-            _close([place])
+            _close([run.place])
             if not isinstance(error, BrokenProcessPool):
                 raise FracbenchError(_explain(error, self._folder)) from error
-            if place.stillborn():
+            if run.place.stillborn():
                 self._count_stillborn(error)
-                self.start(job)
+                self.start(run.job)
                 return None
         self._stillborn = 0
-        return job.key, spool.read(self._folder, job.key)
+        return run.job.key, spool.read(self._folder, run.job.key)
+
+    def _give_up(self, future: Future[None]) -> tuple[str, Row]:
+        run = self._busy.pop(future)
+        _close([run.place])
+        return run.job.key, spool.read(self._folder, run.job.key) or run.job.expired(provenance.machine())
 
     def _count_stillborn(self, error: BaseException) -> None:
         self._stillborn += 1
@@ -130,7 +152,7 @@ class LocalCrew:
 
     def close(self) -> None:
         """Kill the processes that have a job, which is given up."""
-        places = [place for place, _ in self._busy.values()]
+        places = [run.place for run in self._busy.values()]
         self._busy = {}
         _close(places)
 
@@ -148,21 +170,31 @@ def _close(places: Sequence[_Place]) -> None:
 
 
 class _Place:
-    """One executor with one process."""
+    """One executor with one process, which rings a bell when an estimate begins and when it ends."""
 
     def __init__(self) -> None:
         from joblib.externals.loky import ProcessPoolExecutor
+        from joblib.externals.loky.backend import get_context
 
         # loky replaces a process that has grown by 100 MB, and says so if a job is waiting already.
         warnings.filterwarnings("ignore", "A worker stopped while some jobs were given", UserWarning)
         threads = dict.fromkeys(_THREADS, "1")
-        self._executor = ProcessPoolExecutor(1, initializer=_get_ready, initargs=(os.getpid(),), env=threads)
+        self._bell = get_context().SimpleQueue()
+        self._began: float | None = None
+        mine = os.getpid(), self._bell
+        self._executor = ProcessPoolExecutor(1, initializer=_get_ready, initargs=mine, env=threads)
         self._ready = self.submit(os.getpid)
 
     def submit(self, function: Any) -> Future[Any]:
         with _deaf_to_ctrl_c():
             future: Future[Any] = self._executor.submit(function)
         return future
+
+    def began(self) -> float | None:
+        """Return when the estimate that runs now was first heard of, or None if none runs; empty the pipe."""
+        while not self._bell.empty():
+            self._began = time.monotonic() if self._bell.get() else None
+        return self._began
 
     def stillborn(self) -> bool:
         """Tell whether the process died before it was ready."""
@@ -193,8 +225,13 @@ def _deaf_to_ctrl_c() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _get_ready(parent: int) -> None:
+_bell: Any = None
+
+
+def _get_ready(parent: int, bell: Any) -> None:
     """In a worker: see to it that it ends with its parent, and import what points need."""
+    global _bell
+    _bell = bell
     threading.Thread(target=_end_with, args=(parent,), name="parent", daemon=True).start()
     from fracbench.harness import task  # noqa: F401
 
@@ -209,13 +246,20 @@ def _compute(job: Job, folder: Path, parent: int) -> None:
     """In a worker: compute a job and leave its row in the spool."""
     from fracbench.harness import task
 
-    task.work(job, partial(_deliver, folder, parent), partial(os._exit, 1))
-
-
-def _deliver(folder: Path, parent: int, row: Row) -> None:
+    row = job.row(task.run_point(job.point, job.folder, _timed))
     if os.getppid() != parent:
         os._exit(1)  # a sweep that was started since may be computing this point
     spool.write(folder, row)
+
+
+@contextmanager
+def _timed() -> Iterator[None]:
+    """Let the parent, whose clock no computation stops, know that an estimate runs."""
+    _bell.put(True)
+    try:
+        yield
+    finally:
+        _bell.put(False)
 
 
 def _explain(error: BaseException, folder: Path) -> str:

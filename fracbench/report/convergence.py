@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fracbench.errors import InputError
 from fracbench.harness.experiment import Experiment
 from fracbench.harness.plan import Plan, make_plan
 from fracbench.harness.store import Row
 from fracbench.report import tables
 from fracbench.report.base import Artefact, file_stem
+from fracbench.report.options import all_options
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -21,17 +21,12 @@ if TYPE_CHECKING:
 
     from fracbench.harness.convergence import Problem
 
-_OPTIONS: Mapping[str, Any] = {
-    "region": str, "alphas": list, "gap": float, "last_gap": float, "seconds": float, "iterations": int,
-    "reference_iterations": int,
-}  # fmt: skip
-
 
 def convergence(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
     """Run the solvers and draw their courses; see `fracbench.report.base.Renderer`."""
     from fracbench.report.style import save_figure
 
-    options = _checked_options(experiment)
+    options = all_options(experiment)
     courses, literal = measure(options, plan)
     summary = summarise(courses, options["gap"], literal)
     title = f"{experiment.title}\n{options['region']}, {plan.dataset}"
@@ -52,15 +47,6 @@ _LEGEND = (
     "`ratio`: to the default's seconds to the same gap. Every solver starts from u = 0 on {region}. The printed "
     "double sums give the iterates of Gauss-Seidel; their seconds are its own and, for each sweep, the difference."
 )
-
-
-def _checked_options(experiment: Experiment) -> dict[str, Any]:
-    if set(experiment.options) != set(_OPTIONS):
-        raise InputError(f"experiment {experiment.name}: `options` must be {', '.join(_OPTIONS)}")
-    try:
-        return {name: kind(experiment.options[name]) for name, kind in _OPTIONS.items()}
-    except (TypeError, ValueError) as exc:
-        raise InputError(f"experiment {experiment.name}: options: {exc}") from exc
 
 
 def problems(region: str, alphas: list[float], plan: Plan) -> dict[float, Problem]:

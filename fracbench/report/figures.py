@@ -21,6 +21,7 @@ from fracbench.report.style import (
     SHADE,
     STAR,
     axis_label,
+    caption_style,
     equation,
     house_style,
     legend_below,
@@ -177,7 +178,7 @@ def line_family(
     _need_columns(table, [family, *([method_column] if method_column else [])])
     methods = _values(table[method_column]) if method_column else []
     lines = method_lines(methods)
-    captions: list[tuple[Any, str]] = [*map(_caption_style, styles)] or [("", marker) for marker in markers]
+    captions: list[tuple[Any, str]] = [*map(caption_style, styles)] or [("", marker) for marker in markers]
     with house_style():
         fig, axes = two_panels(title)
         for ax, metric in zip(axes, METRICS, strict=True):
@@ -353,9 +354,3 @@ def _draw_cells(ax: Axes, cells: pd.DataFrame, metric: str) -> None:
     row, column = np.unravel_index(np.nanargmin(grid), grid.shape)
     ax.plot([column], [row], gid="minimum", **STAR, color="white")
     ax.set_title(f"min at {equation(x, cells.columns[column])}, {equation(y, cells.index[row])}")
-
-
-def _caption_style(style: str) -> tuple[Any, str]:
-    """Take ``"--*"`` apart into line and marker."""
-    line = next((line for line in ("--", "-.", ":", "-") if style.startswith(line)), "")
-    return line, style.removeprefix(line) or "None"

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fracbench.data.files import read_flow, write_flow
 from fracbench.data.sequence import list_sequences
+from fracbench.errors import FracbenchError
 from fracbench.evaluation.metrics import endpoint_error, flow_errors
 from fracbench.harness.plan import Plan, Point, make_plan
 from fracbench.harness.task import point_arrays
@@ -63,8 +64,8 @@ def scenes(sources: Sources) -> list[Scene]:
 
     Raises
     ------
-    InputError
-        Data that cannot be read, a folder that cannot be written.
+    FracbenchError
+        Data that cannot be read, a folder that cannot be written, a worker process that dies.
     """
     source = sources.get("table2")
     if source is None:
@@ -98,8 +99,13 @@ def _shown(plan: Plan, sources: Sources) -> list[tuple[str, list[tuple[str, Poin
 
 
 def _computed(points: Sequence[Point], folder: Path | None, cache: Path, jobs: int) -> Path:
-    """Compute the flows that the folder `cache` does not hold, and return it."""
+    """Compute the flows that the folder `cache` does not hold, and return it.
+
+    The harness has no part in this: it keeps numbers, and these points' are in its store already. A flow is a file
+    that is there whole or not at all, so whatever stops this, the next call goes on from there.
+    """
     from joblib import Parallel, delayed, parallel_config
+    from joblib.externals.loky.process_executor import BrokenProcessPool
 
     from fracbench import console
     from fracbench.report.tables import ensure_folder
@@ -108,8 +114,14 @@ def _computed(points: Sequence[Point], folder: Path | None, cache: Path, jobs: i
     todo = {path: point for point in points if not (path := flow_file(point, cache)).is_file()}
     with console.progress(len(todo), "flows") as advance, parallel_config("loky", inner_max_num_threads=1):
         pool = Parallel(min(jobs, max(len(todo), 1)), return_as="generator_unordered", batch_size=1)
-        for _ in pool(delayed(_compute)(point, folder, path) for path, point in todo.items()):
-            advance()
+        try:
+            for _ in pool(delayed(_compute)(point, folder, path) for path, point in todo.items()):
+                advance()
+        except BrokenProcessPool as exc:
+            raise FracbenchError(
+                "a worker process died (out of memory, or a crash); the flows that are finished are kept, and the "
+                "same command goes on from there"
+            ) from exc
     return cache
 
 

@@ -41,8 +41,14 @@ class Family:
     logy: bool = False
 
     def __post_init__(self) -> None:
+        from fracbench.report.style import caption_style
+
         if self.shade is not None and len(self.shade) != 2:
             raise InputError(f"option 'shade' must be two numbers, got {self.shade}")
+        if self.styles == []:
+            raise InputError("option 'styles' must name a line or a marker for each curve, e.g. --*")
+        for style in self.styles or ():
+            caption_style(style)
 
 
 @dataclass(frozen=True)
@@ -98,5 +104,34 @@ def require_options(experiment: Experiment) -> None:
     InputError
         An unknown option (the nearest is offered), or a value of another type.
     """
+    _record(experiment)
+
+
+def all_options(experiment: Experiment) -> dict[str, Any]:
+    """Return the options of an artefact that can do without none.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The experiment.
+
+    Returns
+    -------
+    dict
+        By name.
+
+    Raises
+    ------
+    InputError
+        As for `require_options`, or an option is missing.
+    """
+    options = vars(_record(experiment))
+    missing = [name for name, value in options.items() if value is None]
+    if missing:
+        raise InputError(f"experiment {experiment.name}: `options` must have {', '.join(missing)} as well")
+    return options
+
+
+def _record(experiment: Experiment) -> Any:
     kind = _BY_ARTEFACT.get(experiment.artefact, Nothing)
-    record(kind, experiment.options, f"experiment {experiment.name}, options")
+    return record(kind, experiment.options, f"experiment {experiment.name}, options")

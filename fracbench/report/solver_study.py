@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fracbench.errors import InputError
 from fracbench.harness.experiment import Experiment, load_experiment
 from fracbench.harness.plan import Plan
 from fracbench.harness.store import Row
 from fracbench.report import tables
 from fracbench.report.base import Artefact, file_stem
+from fracbench.report.options import all_options
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -33,7 +33,7 @@ def solver_study(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], re
     from fracbench.report.drawing import draw
     from fracbench.report.study_figures import solver_panels
 
-    options = _checked_options(experiment)
+    options = all_options(experiment)
     runs = tables.tidy(plan, rows)
     pairs = runs.drop_duplicates("region").set_index("region")[["theta", "lambda_sb"]]
     summary = solver_summary(runs, pairs, printed_alphas())
@@ -73,17 +73,6 @@ def _kept_spectra(stem: Path, pairs: pd.DataFrame, options: Mapping[str, Any]) -
     files = keep([path], (pairs, options), lambda: tables.write_table(spectra_table(pairs, **options), stem))
     counts = {f"{sweep} sweeps": "Int64" for sweep in SWEEPS}
     return pd.read_csv(path, dtype=counts), files
-
-
-def _checked_options(experiment: Experiment) -> dict[str, Any]:
-    wanted = {"size": int, "alpha_step": float, "tol": float, "limit": int}
-    try:
-        if set(experiment.options) != set(wanted):
-            raise ValueError
-        return {name: kind(experiment.options[name]) for name, kind in wanted.items()}
-    except (TypeError, ValueError):
-        names = ", ".join(wanted)
-        raise InputError(f"experiment {experiment.name}: `options` must be the numbers {names}") from None
 
 
 _SOLVER_LEGEND = (

@@ -60,6 +60,8 @@ SHADE = "#EDEDED"
 MISSING = "#9E9E9E"
 """Colour of cells and pixels without a value."""
 
+_LINES = ("--", "-.", ":", "-")
+
 STAR: Mapping[str, Any] = {
     "marker": "*",
     "markersize": 14,
@@ -129,6 +131,39 @@ def equation(key: str, value: object) -> str:
 def axis_label(key: str) -> str:
     """Return the label of an axis that shows a key."""
     return KEYS[key][1] if key in KEYS else key
+
+
+def caption_style(style: str) -> tuple[str, str]:
+    """Take a line's style in a caption apart; its colour is not the caption's to choose.
+
+    Parameters
+    ----------
+    style : str
+        Line, marker or both, e.g. ``"--*"``.
+
+    Returns
+    -------
+    line, marker : str
+        As matplotlib has them: ``""`` for no line of its own, ``"None"`` for no marker.
+
+    Raises
+    ------
+    InputError
+        There is no such marker, or nothing at all.
+    """
+    from matplotlib.lines import Line2D
+
+    line = next((line for line in _LINES if style.startswith(line)), "")
+    marker = style.removeprefix(line) or "None"
+    if not style.strip():
+        raise InputError(f"styles: {style!r} names neither a line nor a marker, as --* does")
+    known = [name for name in Line2D.markers if isinstance(name, str) and name.strip()]
+    if marker not in known:
+        shown = " ".join(name for name in known if len(name) == 1)
+        raise InputError(
+            f"styles: unknown marker {marker!r} in {style!r} (allowed: {' '.join(_LINES)} and then one of {shown})"
+        )
+    return line, marker
 
 
 def method_lines(methods: Sequence[str]) -> dict[str, tuple[str, Any]]:

@@ -1,7 +1,8 @@
 """``python logged.py LOG SECONDS ARGUMENTS...``: the command line, whose workers keep a log behind its back.
 
 A line ``start KEY PID`` comes before a point is computed, a line ``end KEY PID`` after its row is in the spool;
-each point takes SECONDS longer than it would.
+each point takes SECONDS. Its errors are made up from its key: to import the solver takes a worker longer than all
+that is tested here.
 """
 
 from __future__ import annotations
@@ -15,22 +16,46 @@ from fracbench.harness import workers
 
 
 def install(log: Path, seconds: float) -> None:
-    real = workers._compute
-
-    def compute(job, folder, parent):  # reaches the workers by value
-        import os
+    def get_ready(parent, bell):  # both reach the workers by value
+        import sys
         import time
+        from types import SimpleNamespace
+
+        from fracbench.harness import workers
+        from fracbench.harness.job import Outcome
+
+        def run_point(point, folder, guard):
+            with guard():
+                time.sleep(seconds)
+            error = int(point.key[:8], 16) / 16**8
+            made_up = {
+                "aae": error,
+                "aepe": 2 * error,
+                "sdae": error,
+                "n_pixels": 9,
+                "n_unknown": 0,
+                "n_nonfinite": 0,
+            }
+            made_up |= {"iterations": [[1]], "inner_iterations": [[2]], "stop": "max_iter"}
+            return Outcome("done", None, made_up, 0.1, None, {"host": "here"})
+
+        sys.modules["fracbench.harness.task"] = SimpleNamespace(run_point=run_point)
+        workers._get_ready(parent, bell)
+
+    def compute(job, folder, parent):
+        import os
+
+        from fracbench.harness import workers
 
         def say(what):
             with log.open("a") as file:
                 file.write(f"{what} {job.key} {os.getpid()}\n")
 
         say("start")
-        time.sleep(seconds)
-        real(job, folder, parent)
+        workers._compute(job, folder, parent)
         say("end")
 
-    workers._compute = compute
+    workers._get_ready, workers._compute = get_ready, compute
 
 
 if __name__ == "__main__":

@@ -6,6 +6,8 @@ import os
 import signal
 import subprocess
 import sys
+import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,10 +15,10 @@ import pytest
 pytest.importorskip("distributed", reason="needs the extra `dask`")
 
 from fracbench.errors import DataError, FracbenchError, InputError
-from fracbench.harness import cluster, execute, spool
+from fracbench.harness import cluster, execute, spool, task
 from fracbench.harness.job import Job
 from fracbench.harness.plan import Point, make_plan
-from fracbench.harness.store import Store
+from fracbench.harness.store import Row, Store
 from fracbench.model import SOLVER_VERSION
 
 SMALL = ("sequence=synthetic_flat", "n_scales=1", "n_warps=1")
@@ -34,14 +36,30 @@ class Running:
         self.workers = [int(pid) for pid in pids]
 
     def close(self) -> None:
-        self.process.communicate("end\n", timeout=60)
+        """End scheduler and workers, at once."""
+        self.process.kill()
+        self.process.communicate(timeout=60)
 
 
 @pytest.fixture(scope="module")
-def running():
-    started = Running()
+def clusters():
+    started = []
     yield started
-    started.close()
+    for one in started:
+        one.close()
+
+
+@pytest.fixture
+def running(clusters):
+    """A cluster that runs: the one of the test before, unless that has ended it."""
+    if not clusters or clusters[-1].process.poll() is not None:
+        clusters.append(Running())
+    return clusters[-1]
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch):
+    monkeypatch.setattr(cluster, "_POLL_SECONDS", 0.3)
 
 
 @pytest.fixture
@@ -54,11 +72,8 @@ def plan(*tokens, address):
     return make_plan([*tokens, *SMALL, "parallel=dask", f"parallel.address={address}"], allow_download=False)
 
 
-def values(report):
-    return {
-        key: {name: value for name, value in row.result.items() if name != "phases"}
-        for key, row in report.rows.items()
-    }
+def values(row):
+    return {name: value for name, value in row.result.items() if name != "phases"}
 
 
 def replace_compute(monkeypatch, instead):
@@ -71,7 +86,7 @@ def replace_compute(monkeypatch, instead):
     monkeypatch.setattr(cluster, "_compute", compute)
 
 
-def test_a_worker_killed_in_mid_sweep_costs_one_retry_and_changes_no_bit(running, store, tmp_path, monkeypatch):
+def test_a_worker_killed_in_mid_sweep_costs_one_retry_and_changes_no_bit(running, store, monkeypatch):
     def instead(job, compute):
         import time
 
@@ -91,9 +106,9 @@ def test_a_worker_killed_in_mid_sweep_costs_one_retry_and_changes_no_bit(running
     assert (report.computed, report.failed) == (9, [])
     assert sorted(row.attempts for row in report.rows.values()) == [1] * 8 + [2]
     assert execute.run(made, store, jobs=1).computed == 0
-    with Store(tmp_path / "here.sqlite") as other:
-        here = execute.run(make_plan([*SMALL, "alpha=0:2:0.25", "max_iter=2"]), other, jobs=2)
-    assert values(here) == values(report)
+    for key, point in made.unique().items():
+        here = Row.from_json(replace(report.rows[key], result=task.run_point(point, None).result).to_json())
+        assert values(here) == values(report.rows[key])
 
 
 def test_what_a_worker_finished_outlives_it(running, store, monkeypatch, tmp_path):
@@ -157,6 +172,58 @@ def test_real_data_are_sent_to_workers_that_have_none(running, store, middlebury
     assert [row.status for row in report.rows.values()] == ["done"]
 
 
+def test_points_under_way_end_with_the_sweep(running, store, monkeypatch, tmp_path):
+    log = tmp_path / "log"
+    log.touch()
+
+    def instead(job, compute):
+        import os
+        import time
+
+        from fracbench.harness import task
+
+        def run_point(point, folder, guard):
+            with log.open("a") as file:
+                file.write(f"{os.getpid()}\n")
+            time.sleep(60)
+
+        task.run_point = run_point
+        return compute()
+
+    class Interrupted(cluster.DaskCrew):
+        def wait(self, seconds):
+            if len(log.read_text().split()) == 2:
+                raise KeyboardInterrupt
+            return super().wait(seconds)
+
+    replace_compute(monkeypatch, instead)
+    monkeypatch.setattr(execute, "_crew", lambda plan, jobs, folder: Interrupted(running.address))
+    with pytest.raises(KeyboardInterrupt):
+        execute.run(plan("alpha=0,1,2", "max_iter=1", address=running.address), store, jobs=1)
+    for pid in map(int, log.read_text().split()):
+        deadline = time.monotonic() + 20
+        while alive(pid):
+            assert time.monotonic() < deadline, "a point of a sweep that was ended runs on"
+            time.sleep(0.05)
+
+
+def alive(pid):
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_a_scheduler_that_goes_ends_the_sweep_in_one_line(running, store):
+    made = plan("alpha=0,1,2", "max_iter=1", address=running.address)
+    with pytest.raises(FracbenchError, match="does not answer any more") as caught:
+        execute.run(made, store, jobs=1, on_row=lambda row: running.close())
+    assert len(str(caught.value).splitlines()) == 1
+    assert 1 <= len(store.rows()) <= 3
+    assert not list(spool.folder_of(store.path).glob("*.json"))
+
+
 # -- without a cluster -----------------------------------------------------------------------------
 
 
@@ -196,13 +263,3 @@ def test_dask_that_is_not_installed(monkeypatch):
     monkeypatch.setattr(cluster.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"pip install 'fracbench\[dask\]'"):
         cluster.DaskCrew("tcp://127.0.0.1:8786")
-
-
-def test_a_scheduler_that_goes_ends_the_sweep_in_one_line(store):
-    own = Running()
-    made = plan("alpha=0,1,2", "max_iter=1", address=own.address)
-    with pytest.raises(FracbenchError, match="does not answer any more") as caught:
-        execute.run(made, store, jobs=1, on_row=lambda row: own.process.poll() is None and own.close())
-    assert len(str(caught.value).splitlines()) == 1
-    assert 1 <= len(store.rows()) <= 3
-    assert not list(spool.folder_of(store.path).glob("*.json"))

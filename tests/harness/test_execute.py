@@ -7,6 +7,8 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import Future
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +18,7 @@ from joblib.externals.loky.process_executor import BrokenProcessPool
 from fracbench.errors import FracbenchError
 from fracbench.harness import execute, spool, workers
 from fracbench.harness import plan as plan_module
+from fracbench.harness.job import Job
 from fracbench.harness.plan import make_plan
 from fracbench.harness.store import Store
 
@@ -45,7 +48,6 @@ def replace_point(monkeypatch, instead):
 
     def compute(job, folder, parent):
         import os
-        from functools import partial
 
         from fracbench.harness import task, workers
         from fracbench.harness.job import Outcome
@@ -60,7 +62,7 @@ def replace_point(monkeypatch, instead):
         assert os.getpid() != parent, "a point was computed in the parent's own process"
         real, task.run_point = task.run_point, run_point
         try:
-            task.work(job, partial(workers._deliver, folder, parent), partial(os._exit, 1))
+            workers._compute(job, folder, parent)
         finally:
             task.run_point = real
 
@@ -284,28 +286,68 @@ def test_a_worker_that_dies_after_its_point_is_finished_loses_nothing(store, mon
     assert len(read_log(log)) == 3
 
 
-def test_a_point_over_time_is_a_row_and_costs_no_other(store, monkeypatch, tmp_path):
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_point_over_time_is_a_row_and_costs_no_other(store, monkeypatch, tmp_path, jobs):
     log = tmp_path / "log"
 
     def instead(point, finish):
+        import ctypes
         import time
 
         with log.open("a") as file:
             file.write(f"{point.params['alpha']}\n")
-        while point.params["alpha"] == "0":  # no sleep: the clock must get its turn
-            pass
+        if point.params["alpha"] == "0":  # Python itself stands still: nothing else in this process gets a turn
+            ctypes.PyDLL(None).sleep(20)
         time.sleep(0.4 if point.params["alpha"] == "1" else 0.0)
         return finish()
 
     replace_point(monkeypatch, instead)
-    made = plan("alpha=0,1,2", "parallel.timeout=1")
-    report = execute.run(made, store, jobs=2)
+    made = plan("alpha=0,1,2", "parallel.timeout=0.7")
+    report = execute.run(made, store, jobs=jobs)
     rows = by_alpha(made, report)
     assert {alpha: (row.status, row.attempts) for alpha, row in rows.items()} == {
         "0": ("timeout", 1), "1": ("done", 1), "2": ("done", 1)
     }  # fmt: skip
-    assert rows["0"].error == "not finished within the 1 s allowed"
+    assert rows["0"].error == "not finished within the 0.7 s allowed"
     assert sorted(log.read_text().split()) == ["0", "1", "2"]
+
+
+def test_the_estimate_alone_is_timed(store, monkeypatch):
+    """Not the start of a worker, nor compilation, nor the errors of the flow."""
+
+    def compute(job, folder, parent):
+        import time
+
+        from fracbench.harness import task, workers
+
+        def slowly(function):
+            def instead(*arguments):
+                time.sleep(0.6)
+                return function(*arguments)
+
+            return instead
+
+        before = task._warm_up, task.flow_errors
+        task._warm_up, task.flow_errors = map(slowly, before)
+        try:
+            workers._compute(job, folder, parent)
+        finally:
+            task._warm_up, task.flow_errors = before
+
+    monkeypatch.setattr(workers, "_compute", compute)
+    report = execute.run(plan("alpha=0,1", "parallel.timeout=0.5"), store, jobs=1)
+    assert {(row.status, row.attempts) for row in report.rows.values()} == {("done", 1)}
+
+
+def test_what_was_finished_as_the_time_ended_is_kept(store, fake_rows):
+    """The row is in the spool although the process is killed."""
+    (row,) = fake_rows(plan("alpha=0")).values()
+    folder = spool.folder_of(store.path)
+    folder.mkdir()
+    spool.write(folder, row)
+    with closing(workers.LocalCrew(1, folder)) as crew:
+        crew._busy[Future()] = workers._Run(workers._Place(), Job(row.key, None, 1, 2, {}))
+        assert crew._give_up(*crew._busy) == (row.key, row)
 
 
 def test_a_worker_that_dies_while_it_is_idle_costs_nothing(store, monkeypatch):
@@ -494,7 +536,7 @@ def test_workers_leave_ctrl_c_to_their_parent(store, monkeypatch):
 def test_a_spool_that_cannot_be_written_is_one_clear_error(store, monkeypatch):
     replace_point(monkeypatch, lambda point, finish: finish())
 
-    def full(folder, parent, row):
+    def full(folder, row):
         raise OSError(28, "No space left on device")
 
     real = workers._compute
@@ -502,7 +544,7 @@ def test_a_spool_that_cannot_be_written_is_one_clear_error(store, monkeypatch):
     def compute(job, folder, parent):
         from fracbench.harness import workers
 
-        workers._deliver = full
+        workers.spool.write = full
         real(job, folder, parent)
 
     monkeypatch.setattr(workers, "_compute", compute)

@@ -13,7 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fracbench.errors import InputError
-from fracbench.harness.grid import MAX_POINTS, Axis, Grid, canonical_number, expand_names, parse_overrides
+from fracbench.harness.grid import Axis, Grid, expand_names, parse_overrides
+from fracbench.harness.values import MAX_POINTS, canonical_number
 
 lawful = settings(deadline=None, derandomize=True)
 

@@ -14,15 +14,8 @@ import numpy as np
 import pytest
 
 from fracbench.errors import FracbenchError, InputError
-from fracbench.harness.store import (
-    APPLICATION_ID,
-    SCHEMA_VERSION,
-    STATUSES,
-    Row,
-    Store,
-    StoreError,
-    canonical_json,
-)
+from fracbench.harness.database import APPLICATION_ID, SCHEMA_VERSION, STATUSES
+from fracbench.harness.store import Row, Store, StoreError, canonical_json
 
 
 def a_row(key: str = "k", **changes) -> Row:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import html as markup
 import itertools
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -18,7 +19,7 @@ import pytest
 from PIL import Image
 
 from fracbench.data.files import write_flow
-from fracbench.errors import InputError
+from fracbench.errors import FracbenchError, InputError
 from fracbench.harness.store import Row, Store
 from fracbench.report import background, claims, exhibits, gallery, html, pages
 from fracbench.report.blocks import (
@@ -354,6 +355,13 @@ def test_flows_are_computed_once(tmp_path, monkeypatch):
     assert np.abs(gallery.read_flow(path) - truth).mean() < 0.5 * np.abs(truth).mean()
     monkeypatch.setattr(gallery, "_compute", lambda *_: pytest.fail("computed again"))
     gallery._computed(points, None, folder, 1)
+
+
+def test_a_worker_that_dies_while_it_computes_a_flow_is_one_line(tmp_path, monkeypatch):
+    points = [point for _, point in gallery._shown(*_tiny(tmp_path))[0][1][:2]]
+    monkeypatch.setattr(gallery, "_compute", lambda *_: os._exit(9))
+    with pytest.raises(FracbenchError, match="the flows that are finished are kept"):
+        gallery._computed(points, None, tmp_path / "flows", 2)
 
 
 def _tiny(results):

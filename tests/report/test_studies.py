@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 
 import numpy as np
 import pandas as pd
@@ -229,12 +230,18 @@ def test_the_printed_alphas_are_of_six_regions():
     assert printed["hydrangea_B"] == {"lambda_sb": 10, "aae": 0.9, "aepe": 1}
 
 
-@pytest.mark.parametrize("options", [{}, {"size": 8, "alpha_step": 1, "tol": "small", "limit": 5}, {"sizes": 3}])
-def test_options_of_the_study_are_checked(options):
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({}, ": `options` must have size, alpha_step, tol, limit as well"),
+        ({"size": 8, "alpha_step": 1, "tol": 1e-3}, ": `options` must have limit as well"),
+        ({"size": 8, "alpha_step": 1, "tol": "small", "limit": 5}, ", options: `tol` must be a number"),
+        ({"sizes": 3}, ", options: unknown key 'sizes': did you mean 'size'?"),
+    ],
+)
+def test_options_of_the_study_are_checked(options, message):
     experiment = dataclasses.replace(load_experiment("solver_study"), options=options)
-    with pytest.raises(
-        InputError, match="experiment solver_study: `options` must be the numbers size, alpha_step, tol, limit"
-    ):
+    with pytest.raises(InputError, match=re.escape(f"experiment solver_study{message}")):
         solver_study(experiment, None, {}, None)
 
 

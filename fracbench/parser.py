@@ -1,0 +1,55 @@
+"""Reading the command line: errors are one line and name the nearest valid word."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from typing import Any, NoReturn
+
+from fracbench.errors import InputError, nearest
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser whose errors are one line and name the nearest valid word."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise `InputError`, where argparse would print and leave."""
+        choices = [name for action in self._subparsers_actions() for name in action.choices]
+        given = message.partition("invalid choice: '")[2].partition("'")[0]
+        if given and choices:
+            guess = nearest(given, choices)
+            hint = f": did you mean {guess!r}?" if guess else ""
+            message = f"unknown command {given!r}{hint} (allowed: {', '.join(choices)})"
+        raise InputError(" ".join(message.split()))
+
+    def _subparsers_actions(self) -> list[Any]:
+        return [action for action in self._actions if isinstance(action, argparse._SubParsersAction)]
+
+    def parse_words(self, argv: Sequence[str]) -> argparse.Namespace:
+        """Return the arguments, with overrides wherever they stand.
+
+        Parameters
+        ----------
+        argv : sequence of str
+            Arguments without the program's name.
+
+        Returns
+        -------
+        argparse.Namespace
+            With ``parser``, that of the command.
+
+        Raises
+        ------
+        InputError
+            An unknown command, option or word.
+        """
+        arguments, rest = self.parse_known_args(argv)
+        # argparse takes overrides up to the first option only; they may stand after it as well.
+        for word in rest:
+            if word.startswith("-") or "=" not in word or not hasattr(arguments, "overrides"):
+                options = [option for action in arguments.parser._actions for option in action.option_strings]
+                guess = nearest(word, options)
+                hint = f": did you mean {guess}?" if guess else ""
+                raise InputError(f"unexpected argument {word!r}{hint}")
+            arguments.overrides.append(word)
+        return arguments
