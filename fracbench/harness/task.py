@@ -75,7 +75,7 @@ def _compute(point: Point, folder: Path | None, machine: dict[str, Any], guard: 
         flow_result = method.estimate(frame0, frame1, params)
     seconds = time.perf_counter() - started
     errors = flow_errors(flow_result.flow[(slice(None), *inner)], truth[(slice(None), *inner)])
-    result = {
+    result: dict[str, Any] = {
         "aae": errors.aae,
         "aepe": errors.aepe,
         "sdae": errors.sdae,
@@ -89,14 +89,16 @@ def _compute(point: Point, folder: Path | None, machine: dict[str, Any], guard: 
         "notices": flow_result.notices,
     }
     peak = peak_mib()
-    error = _divergence(point.method, frame0, frame1, flow_result, params, errors.n_nonfinite)
+    error = _divergence(point.method, frame0, frame1, flow_result.flow, params, result["stop"], errors.n_nonfinite)
     return Outcome("done" if error is None else "diverged", error, result, seconds, peak, machine)
 
 
-def _divergence(name: str, frame0: Any, frame1: Any, result: Any, params: FlowParams, n_bad: int) -> str | None:
-    if result.stop_reason == "diverged":
+def _divergence(
+    name: str, frame0: Any, frame1: Any, flow: Any, params: FlowParams, stop: str, n_bad: int
+) -> str | None:
+    if stop == "diverged":
         return f"diverged: {n_bad} pixels of the flow are not finite"
-    growth = energy_growth(name, frame0, frame1, result.flow, params, enough=GROWN)
+    growth = energy_growth(name, frame0, frame1, flow, params, enough=GROWN)
     if growth is not None and not growth <= GROWN:  # NaN counts as grown
         return f"diverged: the energy of the flow is at least {growth:.3g} times that of no flow"
     return None

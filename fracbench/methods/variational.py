@@ -112,7 +112,8 @@ def energy_growth(
     if name not in _GRADIENTS:
         return None
     _, gain = pyramid.scaling(frame0, frame1)
-    before = params.lambda_ * gain * float(np.abs(np.subtract(frame1, frame0, dtype=np.float64)).sum())
+    change = np.subtract(frame1, frame0, dtype=np.float64)
+    before = params.lambda_ * gain * float(np.abs(change, out=change).sum())
     with np.errstate(over="ignore", invalid="ignore"):
         bound = _largest_regularity(name, flow, params)
         if bound < enough * before:
@@ -127,4 +128,4 @@ def _largest_regularity(name: str, flow: Array, params: FlowParams) -> float:
     """Return an upper bound of R(u1) + R(u2), by the norm of the derivatives, ``2^alpha``, and of the flow."""
     alpha = params.alpha if _GRADIENTS[name] is _fractional else 1.0
     pixels = math.prod(n + params.pad for n in flow.shape[1:])
-    return 2.0 ** (alpha + 1.0) * math.sqrt(pixels) * float(np.linalg.norm(np.asarray(flow, np.float64)))
+    return 2.0 ** (alpha + 1.0) * math.sqrt(pixels) * math.sqrt(np.vdot(flow, flow))

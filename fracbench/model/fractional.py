@@ -16,6 +16,8 @@ from fracbench.model.reflected import NaturalGradient, ReflectGradient
 
 BOUNDARIES = ("zero", "reflect", "natural")
 ALPHA_RANGE = (0.0, 2.0)
+#: On longer lines the product with a triangle is faster than that with a full matrix.
+LEAST_TRIANGLE = 100
 
 
 def gl_weights(alpha: float, n: int) -> Float64Array:
@@ -76,36 +78,42 @@ class LeftDerivative:
     """
 
     def __init__(self, alpha: float, n: int, pad: int, dtype: np.dtype | type) -> None:
-        self._matrix = np.asfortranarray(left_derivative_matrix(alpha, n, pad), dtype)
-        # A whole order has few weights; without padding the matrix is a triangle, half the work of a product.
+        self._matrix = left_derivative_matrix(alpha, n, pad).astype(dtype)
+        self._back = np.ascontiguousarray(self._matrix.T)  # a product from the right is faster with this
         weights = gl_weights(alpha, n)
-        self._band = np.trim_zeros(weights, "b").astype(dtype) if np.count_nonzero(weights) <= 3 else None
-        self._pad = pad
+        self._band = None  # the weights of a whole order, which are few
+        if not pad and np.count_nonzero(weights) <= 3:
+            self._band = np.trim_zeros(weights, "b").astype(dtype)
+        self._triangle = not pad and n > LEAST_TRIANGLE
         self._multiply = scipy.linalg.get_blas_funcs("trmm", dtype=np.dtype(dtype))
 
     def apply(self, u: Array, axis: int, out: Array) -> None:
         """Write ``sum_k w_k u(j - k)`` along `axis` of `u` (0: y, 1: x); without padding `out` is C-contiguous."""
-        if self._pad:
-            np.matmul(u, self._matrix.T, out=out) if axis else np.matmul(self._matrix, u, out=out)
-        elif self._band is not None:
+        if self._band is not None:
             _weigh_before(u, self._band, axis, out)
-        else:
+        elif self._triangle:
             self._in_place(u, axis, False, out)
+        elif axis == 1:
+            np.matmul(u, self._back, out=out)
+        else:
+            np.matmul(self._matrix, u, out=out)
 
     def adjoint(self, d: Array, axis: int, out: Array) -> None:
         """Write the right derivative, ``sum_k w_k d(j + k)``, along `axis` of `d`; `out` as for `apply`."""
-        if self._pad:
-            np.matmul(d, self._matrix, out=out) if axis else np.matmul(self._matrix.T, d, out=out)
-        elif self._band is not None:
+        if self._band is not None:
             _weigh_after(d, self._band, axis, out)
-        else:
+        elif self._triangle:
             self._in_place(d, axis, True, out)
+        elif axis == 1:
+            np.matmul(d, self._matrix, out=out)
+        else:
+            np.matmul(self._back, d, out=out)
 
     def _in_place(self, x: Array, axis: int, transposed: bool, out: Array) -> None:
         out[...] = x
         # BLAS sees columns where NumPy has rows: to it `out` is its transpose, and the axes change sides.
         side, trans = (0, transposed) if axis else (1, not transposed)
-        self._multiply(1.0, self._matrix, out.T, side=side, lower=1, trans_a=trans, overwrite_b=1)
+        self._multiply(1.0, self._back.T, out.T, side=side, lower=1, trans_a=trans, overwrite_b=1)
 
 
 @jit
@@ -224,8 +232,8 @@ class ZeroGradient(GradientOperator):
         return ty.T @ ty, tx.T @ tx
 
 
-# As many bases as a sweep over alpha at four scales comes back to, a megabyte each at most on a region.
-@lru_cache(maxsize=256)
+# As many bases as a sweep of 21 orders comes back to at four scales: 15 MB on a region, 150 MB on whole frames.
+@lru_cache(maxsize=192)
 def _eigenbasis(alpha: float, n: int, pad: int) -> tuple[Float64Array, Float64Array]:
     t = left_derivative_matrix(alpha, n, pad)
     # The singular values of T, squared, keep the small eigenvalues of T^T T accurate.

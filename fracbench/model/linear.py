@@ -12,6 +12,7 @@ import numpy as np
 from fracbench.model._jit import jit
 from fracbench.model.arrays import Array, Float64Array
 from fracbench.model.gradient import GradientOperator
+from fracbench.model.natural import differentiate_row, right_hand_side_row
 
 
 def system_diagonals(operator: GradientOperator, theta: float, mu: float) -> tuple[Float64Array, Float64Array]:
@@ -105,30 +106,12 @@ def gauss_seidel_natural(u: Array, v: Array, w: Array, theta: float, mu: float) 
     theta, mu : float
         Tightness and split Bregman parameter.
     """
-    height, width = u.shape
-    penalty = u.dtype.type(mu)
-    row = np.empty(width, u.dtype)
-    for i in range(height):
-        for j in range(width):
-            row[j] = u.dtype.type(1.0 / theta) * v[i, j]
-        for j in range(width - 1):
-            row[j] -= penalty * w[0, 0, i, j]
-        for j in range(1, width):
-            row[j] += penalty * w[0, 0, i, j - 1]
-        if i < height - 1:
-            for j in range(width):
-                row[j] -= penalty * w[0, 1, i, j]
-        if i > 0:
-            for j in range(width):
-                row[j] += penalty * w[0, 1, i - 1, j]
+    row = np.empty(u.shape[1], u.dtype)
+    for i in range(len(u)):
+        right_hand_side_row(v, w, theta, mu, i, row)
         _sweep_row(u, row, theta, mu, i)
-        for j in range(width - 1):
-            w[0, 0, i, j] = u[i, j + 1] - u[i, j]
-        w[0, 0, i, width - 1] = 0.0
-        if i > 0:
-            for j in range(width):
-                w[0, 1, i - 1, j] = u[i, j] - u[i - 1, j]
-    w[0, 1, height - 1] = 0.0
+        differentiate_row(u, i, w)
+    differentiate_row(u, len(u), w)
 
 
 @jit

@@ -1,0 +1,79 @@
+"""Forward differences without flux through the border, and their adjoint, row by row: for Algorithm 3."""
+
+from __future__ import annotations
+
+from fracbench.model._jit import jit
+from fracbench.model.arrays import Array
+
+
+@jit
+def differentiate_row(u: Array, i: int, d: Array) -> None:
+    """Write the x-differences of row `i` of `u` and the y-differences of the row above, which ends there.
+
+    Parameters
+    ----------
+    u : ndarray, shape (H, W)
+        Image; rows ``i - 1`` and `i` are read.
+    i : int
+        Row, 0 to H: the y-differences of the last row, 0, are written with row H, which there is not.
+    d : ndarray, shape (1, 2, H, W)
+        Output.
+    """
+    height, width = u.shape
+    if i < height:
+        for j in range(width - 1):
+            d[0, 0, i, j] = u[i, j + 1] - u[i, j]
+        d[0, 0, i, width - 1] = 0.0
+    if i == height:
+        d[0, 1, i - 1] = 0.0
+    elif i > 0:
+        for j in range(width):
+            d[0, 1, i - 1, j] = u[i, j] - u[i - 1, j]
+
+
+@jit
+def right_hand_side_row(v: Array, w: Array, theta: float, mu: float, i: int, out: Array) -> None:
+    """Write row `i` of ``v/theta + mu D^T w``, D^T being minus the divergence.
+
+    Parameters
+    ----------
+    v : ndarray, shape (H, W)
+        Data.
+    w : ndarray, shape (1, 2, H, W)
+        ``d - b``.
+    theta, mu : float
+        Tightness and split Bregman parameter.
+    i : int
+        Row.
+    out : ndarray, shape (W,)
+        Output.
+    """
+    height, width = v.shape
+    direct, penalty = v.dtype.type(1.0 / theta), v.dtype.type(mu)  # or all would be computed in float64
+    out[0] = 0.0
+    for j in range(1, width):
+        out[j] = w[0, 0, i, j - 1]
+    for j in range(width - 1):
+        out[j] -= w[0, 0, i, j]
+    if i > 0:
+        for j in range(width):
+            out[j] += w[0, 1, i - 1, j]
+    if i < height - 1:
+        for j in range(width):
+            out[j] -= w[0, 1, i, j]
+    for j in range(width):
+        out[j] = direct * v[i, j] + penalty * out[j]
+
+
+@jit
+def differentiate(u: Array, d: Array) -> None:
+    """Write the forward differences of `u`, (H, W), 0 across the border, to `d`, (1, 2, H, W)."""
+    for i in range(len(u) + 1):
+        differentiate_row(u, i, d)
+
+
+@jit
+def right_hand_side(v: Array, w: Array, theta: float, mu: float, out: Array) -> None:
+    """Write ``v/theta + mu D^T w`` to `out`, (H, W); see `right_hand_side_row`."""
+    for i in range(len(v)):
+        right_hand_side_row(v, w, theta, mu, i, out[i])

@@ -1,0 +1,39 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import reference_impl as ref
+
+from fracbench.model.natural import differentiate, right_hand_side
+
+SHAPES = pytest.mark.parametrize("shape", [(5, 4), (1, 6), (6, 1), (2, 2), (1, 1)])
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(11)
+
+
+@SHAPES
+def test_the_differences_are_those_of_the_image_repeated_at_its_border(rng, shape):
+    u, d = rng.normal(size=shape), np.full((1, 2, *shape), np.nan)
+    differentiate(u, d)
+    np.testing.assert_array_equal(d[0], ref.forward_gradient(u))
+
+
+@SHAPES
+def test_the_right_hand_side_has_the_adjoint_of_the_differences(rng, shape):
+    """<D u, w> = <u, D^T w> for every u, and v counts 1/theta."""
+    (u, v), w, d = rng.normal(size=(2, *shape)), rng.normal(size=(1, 2, *shape)), np.empty((1, 2, *shape))
+    rhs = np.full(shape, np.nan)
+    right_hand_side(v, w, 0.3, 5.0, rhs)
+    differentiate(u, d)
+    assert np.vdot(u, rhs - v / 0.3) == pytest.approx(5.0 * np.vdot(d, w), abs=1e-12)
+
+
+def test_float32_is_computed_and_kept(rng):
+    v, w = rng.normal(size=(7, 9)).astype(np.float32), rng.normal(size=(1, 2, 7, 9)).astype(np.float32)
+    single, double = np.empty_like(v), np.empty((7, 9))
+    right_hand_side(v, w, 0.3, 5.0, single)
+    right_hand_side(v.astype(np.float64), w.astype(np.float64), 0.3, 5.0, double)
+    np.testing.assert_allclose(single, double, atol=1e-5)
