@@ -277,21 +277,9 @@ def _default_sequence() -> str:
 
 
 _TOP_LEVEL = (
-    "method",
-    "protocol",
-    "sequence",
-    "region",
-    "parallel",
-    "dataset",
-    "context",
-    "shift",
-    "score",
-    "margin",
-    "noise",
-    "seed",
-    "paths",
-    "params",
-)
+    "method", "protocol", "sequence", "region", "parallel", "dataset", "context", "shift", "score", "margin",
+    "noise", "seed", "paths", "params",
+)  # fmt: skip
 
 
 def _typed(raw: Mapping[str, Any], choices: Mapping[str, str]) -> RunConfig:

@@ -49,16 +49,18 @@ def structure_panels(curves: pd.DataFrame, paper: Mapping[str, tuple[float, floa
     matplotlib.figure.Figure
         A line with its interval for each boundary; the smallest error of each is starred.
     """
-    names = sorted(curves["structure"].unique(), key=_ORDER.index)
+    names = sorted(curves["structure"].unique(), key=lambda name: (*_ORDER, name).index(name))
     columns = min(3, len(names))
     n_rows = -(-len(names) // columns)
     with house_style():
         fig = new_figure(2.4 * n_rows + 1.0)
         fig.suptitle(title)
-        grid = fig.subplots(n_rows, columns, sharex=True, squeeze=False)
+        grid = fig.subplots(n_rows, columns, sharex=True, sharey=True, squeeze=False)
+        lowest = 1.0
         for ax, name in zip(grid.flat, names, strict=False):
-            _draw_panel(ax, curves[curves["structure"] == name], paper.get(name))
+            lowest = min(lowest, _draw_panel(ax, curves[curves["structure"] == name], paper.get(name)))
             ax.set_title(name.removeprefix("lone_"))
+        grid[0, 0].set_ylim(max(0.0, lowest - 0.05), _TOP)
         for ax in grid.flat[len(names) :]:
             ax.set_axis_off()
         for column in grid.T:
@@ -76,7 +78,8 @@ def structure_panels(curves: pd.DataFrame, paper: Mapping[str, tuple[float, floa
     return fig
 
 
-def _draw_panel(ax: Axes, curves: pd.DataFrame, said: tuple[float, float] | None) -> None:
+def _draw_panel(ax: Axes, curves: pd.DataFrame, said: tuple[float, float] | None) -> float:
+    """Draw one structure and return the smallest ratio shown."""
     if said is not None:
         ax.axvspan(*said, color=SHADE, zorder=0, label="best in the paper")
     ax.axhline(1.0, color="black", linewidth=0.7)
@@ -90,7 +93,8 @@ def _draw_panel(ax: Axes, curves: pd.DataFrame, said: tuple[float, float] | None
         best = part.loc[part["ratio"].idxmin()]
         ax.plot([best["alpha"]], [best["ratio"]], **{**STAR, "markersize": 10}, color=color)
         lowest = min(lowest, part["ratio"].min(), part["low"].min())
-    ax.set_ylim(max(0.0, lowest - 0.05), _TOP)
+    ax.set_xticks([0.0, 0.5, 1.0, 1.5, 2.0])
+    return lowest
 
 
 def class_overlay(frame: NDArray[np.float64]) -> NDArray[np.uint8]:
