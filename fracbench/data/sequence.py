@@ -93,9 +93,9 @@ def list_sequences(dataset: str) -> tuple[str, ...]:
         from fracbench.data.middlebury import SEQUENCES
 
         return SEQUENCES
-    from fracbench.data.synthetic import SCENES
+    from fracbench.data.synthetic import ALL
 
-    return SCENES
+    return ALL
 
 
 def shape_of(name: str, dataset: str) -> tuple[int, int]:
@@ -129,7 +129,9 @@ def shape_of(name: str, dataset: str) -> tuple[int, int]:
     return SHAPES[name]
 
 
-def load_sequence(name: str, dataset: str, folder: Path | None = None) -> Sequence:
+def load_sequence(
+    name: str, dataset: str, folder: Path | None = None, *, noise: float = 0.0, seed: int = 0
+) -> Sequence:
     """Load a sequence by name.
 
     Parameters
@@ -140,6 +142,8 @@ def load_sequence(name: str, dataset: str, folder: Path | None = None) -> Sequen
         The data set; `fracbench.data.middlebury.resolve` turns ``"auto"`` into one of them.
     folder : Path, optional
         Where the Middlebury files are; looked up by `fracbench.data.middlebury.find` if not given.
+    noise, seed : float and int, optional
+        Of a rendered scene; see `fracbench.data.synthetic.scene`.
 
     Returns
     -------
@@ -158,7 +162,7 @@ def load_sequence(name: str, dataset: str, folder: Path | None = None) -> Sequen
     if dataset == "synthetic":
         from fracbench.data import synthetic
 
-        return synthetic.scene(name)
+        return synthetic.scene(name, noise=noise, seed=seed)
     from fracbench.data import middlebury
 
     return middlebury.load(name, middlebury.find().folder if folder is None else folder)

@@ -29,7 +29,11 @@ BACKENDS = ("loky", "dask")
 DATASETS = ("auto", "middlebury", "synthetic")
 PARALLEL = ("parallel.jobs", "parallel.timeout", "parallel.address")
 #: Keys of the command line that are neither groups nor parameters.
-SETTINGS = ("dataset", "context", "shift", "paths.data", "paths.results", *PARALLEL)
+SETTINGS = (
+    "dataset", "context", "shift", "score", "margin", "noise", "seed", "paths.data", "paths.results", *PARALLEL,
+)  # fmt: skip
+_WHOLE = ("context", "shift", "margin", "seed")
+SCORES = ("frame", "structure")
 N_SHIFTS = 25
 
 _ADDRESS = re.compile(r"(tcp|tls|ucx|wss?)://[^\s/]+:\d{1,5}")
@@ -88,7 +92,7 @@ class ParallelConfig:
         if key == "parallel.jobs":
             given = _whole(key, value)
         elif key == "parallel.timeout" and given is not None:
-            given = _seconds(key, value)
+            given = _number(key, value, "a number of seconds")
         return dataclasses.replace(self, **{key.removeprefix("parallel."): given})
 
 
@@ -111,6 +115,10 @@ class RunConfig:
     dataset: str = "auto"
     context: int = 0
     shift: int | None = None
+    score: str = "frame"
+    margin: int | None = None
+    noise: float | None = None
+    seed: int | None = None
     data: str | None = None
     results: Path = Path("results")
 
@@ -124,6 +132,23 @@ class RunConfig:
         if self.region is None and (self.context > 0 or self.shift is not None):
             given = f"context={self.context}" if self.context else f"shift={self.shift}"
             raise InputError(f"{given} needs a region: without one the whole frame is used")
+        if self.score not in SCORES:
+            raise unknown_name("score", self.score, SCORES)
+        self._check_scene()
+
+    def _check_scene(self) -> None:
+        """Refuse what only whole frames, or only rendered scenes, can have."""
+        for name, value in (("margin", self.margin), ("noise", self.noise), ("seed", self.seed)):
+            if value is not None and not 0 <= value < math.inf:
+                raise InputError(f"{name} must be finite and at least 0, got {value:g}")
+            if value is not None and name != "margin" and self.sequence.dataset != "synthetic":
+                raise InputError(f"{name}={value:g} needs a rendered scene, sequence={self.sequence.key} is none")
+        if self.margin is None:
+            return
+        if self.region is not None:
+            raise InputError(f"margin={self.margin} is of whole frames; a region takes context")
+        if 2 * self.margin >= (side := min(shape_of(self.sequence.name, self.sequence.dataset))):
+            raise InputError(f"margin={self.margin} leaves nothing of a side of {side} pixels")
 
     def override(self, values: Mapping[str, str]) -> RunConfig:
         """Return a copy with parameters and settings changed.
@@ -150,8 +175,10 @@ class RunConfig:
                 params[key.removeprefix("params.")] = value
             elif key in PARALLEL:
                 changes["parallel"] = changes.get("parallel", self.parallel).override(key, value)
-            elif key in ("context", "shift"):
-                changes[key] = None if key == "shift" and value == "null" else _whole(key, value)
+            elif key in _WHOLE:
+                changes[key] = None if key != "context" and value == "null" else _whole(key, value)
+            elif key == "noise":
+                changes[key] = None if value == "null" else _number(key, value)
             else:
                 changes[key.rpartition(".")[2]] = Path(value) if key == "paths.results" else value
         return dataclasses.replace(self, params=self.params.replace(params), **changes)
@@ -164,11 +191,11 @@ def _whole(key: str, value: Any) -> int:
         raise InputError(f"`{key}` must be a whole number, got {value!r}") from None
 
 
-def _seconds(key: str, value: str) -> float:
+def _number(key: str, value: Any, what: str = "a number") -> float:
     try:
         return float(value)
-    except ValueError:
-        raise InputError(f"`{key}` must be a number of seconds, got {value!r}") from None
+    except (TypeError, ValueError):
+        raise InputError(f"`{key}` must be {what}, got {value!r}") from None
 
 
 def group_options(group: str) -> list[str]:
@@ -252,17 +279,9 @@ def _default_sequence() -> str:
 
 
 _TOP_LEVEL = (
-    "method",
-    "protocol",
-    "sequence",
-    "region",
-    "parallel",
-    "dataset",
-    "context",
-    "shift",
-    "paths",
-    "params",
-)
+    "method", "protocol", "sequence", "region", "parallel", "dataset", "context", "shift", "score", "margin",
+    "noise", "seed", "paths", "params",
+)  # fmt: skip
 
 
 def _typed(raw: Mapping[str, Any], choices: Mapping[str, str]) -> RunConfig:
@@ -285,7 +304,9 @@ def _typed(raw: Mapping[str, Any], choices: Mapping[str, str]) -> RunConfig:
         parallel=record(ParallelConfig, raw["parallel"], f"{where}, parallel"),
         dataset=require_name(raw["dataset"], "`dataset`", where),
         context=_whole("context", raw["context"]),
-        shift=None if raw["shift"] is None else _whole("shift", raw["shift"]),
+        score=require_name(raw["score"], "`score`", where),
+        noise=None if raw["noise"] is None else _number("noise", raw["noise"]),
+        **{key: None if raw[key] is None else _whole(key, raw[key]) for key in ("shift", "margin", "seed")},
         data=paths.data,
         results=Path(paths.results),
     )

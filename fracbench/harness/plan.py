@@ -40,6 +40,12 @@ class Point:
         Pixels around the box that take part in the computation.
     data_digest : str
         SHA-256 of the data.
+    noise : str
+        Standard deviation of the noise of a rendered scene, a canonical decimal.
+    seed : int
+        Of a rendered scene.
+    score : str
+        ``"frame"``, or ``"structure"`` for errors by class of pixels as well.
     """
 
     method: str
@@ -49,11 +55,17 @@ class Point:
     box: tuple[int, int, int, int] | None
     context: int
     data_digest: str
+    noise: str = "0"
+    seed: int = 0
+    score: str = "frame"
 
     @property
     def spec(self) -> dict[str, Any]:
-        """The canonical form, without the data's content."""
+        """The canonical form, without the data's content; noise, seed and score only where they are not usual."""
+        usual = {"noise": "0", "seed": 0, "score": "frame"}
+        unusual = {name: getattr(self, name) for name in usual if getattr(self, name) != usual[name]}
         return {
+            **unusual,
             "method": self.method,
             "params": dict(self.params),
             "dataset": self.dataset,
@@ -284,14 +296,18 @@ def _planned(config: RunConfig, dataset: str, folder: Path | None) -> PlannedPoi
         if config.sequence.stand_in is None:
             raise InputError(f"sequence {config.sequence.key!r} has no synthetic stand-in")
         name, region = config.sequence.stand_in, None
+    noise, seed = config.noise or 0.0, config.seed or 0
     point = Point(
         method=config.method.name,
         params=canonical_params(config),
         dataset=dataset,
         sequence=name,
-        box=_box(region, config.shift, name, dataset),
-        context=config.context if region else 0,
-        data_digest=_digest(name, dataset, folder),
+        box=_box(region, config, name, dataset),
+        context=config.context if region else config.margin or 0,
+        data_digest=_digest(name, dataset, folder, noise, seed),
+        noise=canonical_value(noise),
+        seed=seed,
+        score=config.score,
     )
     labels = {
         "dataset": dataset,
@@ -301,8 +317,9 @@ def _planned(config: RunConfig, dataset: str, folder: Path | None) -> PlannedPoi
         "protocol": config.protocol,
         "context": str(config.context),
     }
-    if config.shift is not None:
-        labels["shift"] = str(config.shift)
+    for key in ("shift", "margin", "noise", "seed"):
+        if (value := getattr(config, key)) is not None:
+            labels[key] = canonical_value(value)
     return PlannedPoint(point, labels)
 
 
@@ -335,24 +352,27 @@ def canonical_value(value: Any) -> str:
 
 
 def _box(
-    region: Region | None, shift: int | None, sequence: str, dataset: str
+    region: Region | None, config: RunConfig, sequence: str, dataset: str
 ) -> tuple[int, int, int, int] | None:
     if region is None:
-        return None
-    if shift is not None:
-        region = shifted(region, shape_of(sequence, dataset))[shift]
+        if not config.margin:
+            return None
+        height, width = shape_of(sequence, dataset)
+        return config.margin, height - config.margin, config.margin, width - config.margin
+    if config.shift is not None:
+        region = shifted(region, shape_of(sequence, dataset))[config.shift]
     return (*region.rows, *region.cols)
 
 
-@lru_cache(maxsize=64)
-def _digest(name: str, dataset: str, folder: Path | None) -> str:
+@lru_cache(maxsize=1024)
+def _digest(name: str, dataset: str, folder: Path | None, noise: float, seed: int) -> str:
     if dataset == "middlebury":
         from fracbench.data import middlebury
 
         return middlebury.digest(name, str(folder))
     from fracbench.data import synthetic
 
-    return synthetic.digest(name)
+    return synthetic.digest(name, noise=noise, seed=seed)
 
 
 def _idle_keys(varying: Sequence[str], points: Sequence[PlannedPoint]) -> list[str]:

@@ -17,6 +17,7 @@ from fracbench.data.regions import Region, crop
 from fracbench.data.sequence import Sequence, load_sequence
 from fracbench.errors import FracbenchError, InputError
 from fracbench.evaluation.metrics import flow_errors
+from fracbench.evaluation.structure import errors_by_class, structure_classes
 from fracbench.harness import provenance
 from fracbench.harness.job import Outcome
 from fracbench.harness.memory import peak_mib, reset_peak
@@ -74,7 +75,8 @@ def _compute(point: Point, folder: Path | None, machine: dict[str, Any], guard: 
     with guard():
         flow_result = method.estimate(frame0, frame1, params)
     seconds = time.perf_counter() - started
-    errors = flow_errors(flow_result.flow[(slice(None), *inner)], truth[(slice(None), *inner)])
+    scored = flow_result.flow[(slice(None), *inner)], truth[(slice(None), *inner)]
+    errors = flow_errors(*scored)
     result: dict[str, Any] = {
         "aae": errors.aae,
         "aepe": errors.aepe,
@@ -88,6 +90,9 @@ def _compute(point: Point, folder: Path | None, machine: dict[str, Any], guard: 
         "phases": flow_result.seconds,
         "notices": flow_result.notices,
     }
+    if point.score == "structure":
+        by_class = errors_by_class(*scored, structure_classes(frame0)[inner])
+        result["classes"] = {name: vars(found) for name, found in by_class.items()}
     peak = peak_mib()
     error = _divergence(point.method, frame0, frame1, flow_result.flow, params, result["stop"], errors.n_nonfinite)
     return Outcome("done" if error is None else "diverged", error, result, seconds, peak, machine)
@@ -105,8 +110,8 @@ def _divergence(
 
 
 @lru_cache(maxsize=8)
-def _sequence(name: str, dataset: str, folder: Path | None) -> Sequence:
-    return load_sequence(name, dataset, folder)
+def _sequence(name: str, dataset: str, folder: Path | None, noise: float, seed: int) -> Sequence:
+    return load_sequence(name, dataset, folder, noise=noise, seed=seed)
 
 
 _held: dict[str, Sequence] = {}
@@ -146,7 +151,9 @@ def point_arrays(point: Point, folder: Path | None) -> tuple[Any, Any, Any, tupl
     InputError
         The data are not what the point was planned for.
     """
-    sequence = _held.get(point.data_digest) or _sequence(point.sequence, point.dataset, folder)
+    sequence = _held.get(point.data_digest)
+    if sequence is None:
+        sequence = _sequence(point.sequence, point.dataset, folder, float(point.noise), point.seed)
     if sequence.digest != point.data_digest:
         raise InputError(f"sequence {point.sequence}: the data changed while the sweep was running")
     if point.box is None:

@@ -81,7 +81,16 @@ class Convergence:
     reference_iterations: int | None = None
 
 
+@dataclass(frozen=True)
+class AlphaByStructure:
+    """Of ``alpha_by_structure``: the noise of the figure, and the paper's range of best alphas by structure."""
+
+    shown_noise: float | None = None
+    paper: Any = None  # checked where it is read
+
+
 _BY_ARTEFACT: dict[str, type] = {
+    "alpha_by_structure": AlphaByStructure,
     "convergence": Convergence,
     "frames": Frames,
     "region_boxes": RegionBoxes,

@@ -9,7 +9,7 @@ from scipy.ndimage import map_coordinates
 
 from fracbench.data import synthetic
 from fracbench.data.sequence import Sequence, list_sequences, load_sequence
-from fracbench.data.synthetic import SCENES, Layer, Motion, layers, scene
+from fracbench.data.synthetic import ALL, SCENES, Layer, Motion, layers, scene
 from fracbench.errors import InputError
 
 SINGLE = ("flat", "rotation", "zoom")
@@ -239,7 +239,7 @@ def test_a_changed_rendering_needs_a_new_generator_version():
 
 
 def test_load_sequence_renders_by_name():
-    assert list_sequences("Synthetic") == SCENES
+    assert list_sequences("Synthetic") == ALL
     np.testing.assert_array_equal(load_sequence("EDGE", "synthetic").frame0, default("edge").frame0)
 
 

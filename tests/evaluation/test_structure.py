@@ -12,6 +12,7 @@ from fracbench.evaluation.structure import (
     EDGE,
     FLAT,
     TEXTURE,
+    errors_by_class,
     noise_level,
     structure_classes,
 )
@@ -226,3 +227,21 @@ class TestNoise:
         image = rng().normal(0.0, 2.0, (200, 200))
         image[:, 100:] += 100.0 * (scipy.ndimage.gaussian_filter(rng().normal(size=(200, 100)), 0.6))
         assert 2.0 < noise_level(image) < 2.0 * 2.2
+
+
+class TestErrorsByClass:
+    def test_each_class_is_scored_alone_and_those_without_known_pixels_are_left_out(self):
+        classes = np.array([[FLAT, FLAT, EDGE], [EDGE, CORNER, EDGE]], np.uint8)
+        truth = np.zeros((2, 2, 3))
+        truth[:, 1, 1] = np.nan
+        truth[:, 0, 2] = np.nan
+        flow = np.zeros((2, 2, 3))
+        flow[0] = [[1.0, 3.0, 9.0], [5.0, 9.0, 7.0]]
+        found = errors_by_class(flow, truth, classes)
+        assert list(found) == ["flat", "edge"]
+        assert (found["flat"].aepe, found["flat"].n_pixels, found["flat"].n_unknown) == (2.0, 2, 0)
+        assert (found["edge"].aepe, found["edge"].n_pixels, found["edge"].n_unknown) == (6.0, 2, 1)
+
+    def test_classes_of_another_picture_are_refused(self):
+        with pytest.raises(InputError, match="classes have the shape"):
+            errors_by_class(np.zeros((2, 4, 4)), np.zeros((2, 4, 4)), np.zeros((4, 5), np.uint8))

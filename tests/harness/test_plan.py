@@ -12,6 +12,7 @@ import pytest
 
 import fracbench
 from fracbench.data import middlebury as middlebury_data
+from fracbench.data import synthetic
 from fracbench.data.middlebury import SEQUENCES, Resolved
 from fracbench.errors import InputError
 from fracbench.harness import plan as plan_module
@@ -419,4 +420,50 @@ def test_a_swept_key_that_changes_nothing_is_remarked_upon():
     ],
 )
 def test_what_cannot_be_planned(tokens, message):
+    assert message in refusal(*tokens)
+
+
+# -- rendered scenes, margins, classes -----------------------------------------------------------
+
+
+def test_noise_seed_and_score_are_part_of_a_key_only_where_they_are_not_usual():
+    plain = plan(FLAT).points[0].point
+    assert set(plain.spec) == {"method", "params", "dataset", "sequence", "box", "context"}
+    assert key(FLAT, "noise=0", "seed=0", "score=frame", "margin=0") == key(FLAT)
+    others = [key(FLAT, token) for token in ("noise=1.5", "seed=1", "score=structure", "margin=3")]
+    assert len({key(FLAT), *others}) == 5
+    identities = {planned.point.identity for planned in plan(FLAT, "seed=0:3:1", "noise=0,1.50").points}
+    assert len(identities) == 8
+    assert key(FLAT, "noise=1.50") == key(FLAT, "noise=1.5")
+
+
+def test_a_rendered_scene_is_named_by_noise_and_seed():
+    made = plan(FLAT, "noise=0,1.5", "seed=7")
+    assert labels(made, "noise") == ["0", "1.5"]
+    assert labels(made, "seed") == ["7", "7"]
+    digests = [planned.point.data_digest for planned in made.points]
+    assert digests == [synthetic.digest("flat", noise=noise, seed=7) for noise in (0.0, 1.5)]
+    assert "noise" not in plan(FLAT).points[0].labels
+
+
+def test_a_margin_takes_part_and_is_not_scored():
+    point = plan(FLAT, "margin=20").points[0].point
+    assert (point.box, point.context) == ((20, 108, 20, 140), 20)
+
+
+@pytest.mark.parametrize(
+    ("tokens", "message"),
+    [
+        (["sequence=grove2", "noise=1"], "noise=1 needs a rendered scene, sequence=grove2 is none"),
+        (["sequence=grove2", "seed=0"], "seed=0 needs a rendered scene"),
+        (["region=grove2_A", "margin=4"], "margin=4 is of whole frames; a region takes context"),
+        ([FLAT, "margin=64"], "margin=64 leaves nothing of a side of 128 pixels"),
+        ([FLAT, "margin=-1"], "margin must be finite and at least 0, got -1"),
+        ([FLAT, "noise=-1"], "noise must be finite and at least 0, got -1"),
+        ([FLAT, "noise=much"], "`noise` must be a number, got 'much'"),
+        ([FLAT, "seed=0.5"], "`seed` must be a whole number, got '0.5'"),
+        ([FLAT, "score=structur"], "unknown score 'structur': did you mean 'structure'?"),
+    ],
+)
+def test_what_frames_and_scenes_cannot_have(tokens, message):
     assert message in refusal(*tokens)

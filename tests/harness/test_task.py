@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,6 +14,7 @@ from fracbench.data import synthetic
 from fracbench.data.sequence import Sequence
 from fracbench.errors import InputError
 from fracbench.evaluation.metrics import flow_errors
+from fracbench.evaluation.structure import CLASSES, structure_classes
 from fracbench.harness import task
 from fracbench.harness.plan import Point, canonical_value
 from fracbench.harness.task import point_arrays, run_point
@@ -232,6 +234,37 @@ def test_data_that_changed_since_they_were_planned_are_not_computed_on():
 def test_a_sequence_without_truth_cannot_be_scored(monkeypatch):
     frame = np.zeros((9, 9))
     bare = Sequence("edge", "synthetic", frame, frame, None, synthetic.digest("edge"))
-    monkeypatch.setattr(task, "_sequence", lambda name, dataset, folder: bare)
+    monkeypatch.setattr(task, "_sequence", lambda *_: bare)
     outcome = run_point(a_point(), None)
     assert (outcome.status, outcome.error) == ("failed", "sequence edge: has no true flow to compare with")
+
+
+# -- rendered scenes and classes of pixels -------------------------------------------------------
+
+
+def test_noise_and_seed_are_those_of_the_scene():
+    point = dataclasses.replace(
+        a_point(digest=synthetic.digest("edge", noise=2.5, seed=3)), noise="2.5", seed=3, box=(9, 60, 9, 60)
+    )
+    frame0, frame1, _, _ = point_arrays(point, None)
+    scene = synthetic.scene("edge", noise=2.5, seed=3)
+    np.testing.assert_array_equal(frame0, scene.frame0[9:60, 9:60])
+    np.testing.assert_array_equal(frame1, scene.frame1[9:60, 9:60])
+
+
+def test_errors_are_counted_within_the_classes_of_the_first_frame():
+    box, context = (20, 80, 40, 100), 10
+    plain = a_point(box=box, context=context)
+    scored = run_point(dataclasses.replace(plain, score="structure"), None).result
+    scene = synthetic.scene("edge")
+    around = slice(10, 90), slice(30, 110)
+    flow = estimate_flow(scene.frame0[around], scene.frame1[around], method="tvl1", **QUICK).flow[:, 10:70, 10:70]
+    classes = structure_classes(scene.frame0[around])[10:70, 10:70]
+    expected = {
+        name: flow_errors(flow, scene.truth[:, 20:80, 40:100], classes == index)
+        for index, name in enumerate(CLASSES)
+        if (classes == index).any()
+    }
+    assert len(expected) >= 2
+    assert scored["classes"] == {name: vars(errors) for name, errors in expected.items()}
+    assert "classes" not in run_point(plain, None).result

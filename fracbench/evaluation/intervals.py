@@ -1,0 +1,114 @@
+"""What a few repetitions say: means with intervals, where a minimum is, and what choosing it gains."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fracbench.errors import InputError
+
+LEVEL = 0.95
+N_RESAMPLES = 2000
+
+Table = NDArray[np.float64]
+
+
+def mean_interval(samples: Any, level: float = LEVEL) -> tuple[Table, Table, Table]:
+    """Return means over repetitions with Student's interval.
+
+    Parameters
+    ----------
+    samples : array_like, (n, ...)
+        Repetitions along the first axis.
+    level : float, optional
+        Of confidence, between 0 and 1.
+
+    Returns
+    -------
+    mean, low, high : ndarray, (...)
+        ``mean -+ t s / sqrt(n)`` with the quantile t of n - 1 degrees of freedom; the ends are NaN for n = 1.
+
+    Raises
+    ------
+    InputError
+        There is no repetition.
+    """
+    from scipy.special import stdtrit
+
+    values = _checked(samples)
+    n = len(values)
+    mean = values.mean(axis=0)
+    if n == 1:
+        return mean, np.full_like(mean, math.nan), np.full_like(mean, math.nan)
+    half = float(stdtrit(n - 1, 0.5 * (1.0 + level))) * values.std(axis=0, ddof=1) / math.sqrt(n)
+    return mean, mean - half, mean + half
+
+
+def minimum_interval(samples: Any, level: float = LEVEL, seed: int = 0) -> tuple[int, int, int]:
+    """Return where the mean curve is smallest, and the bootstrap interval of that place.
+
+    Parameters
+    ----------
+    samples : array_like, (n, m)
+        A curve of m values for each of n repetitions.
+    level : float, optional
+        Of confidence, between 0 and 1.
+    seed : int, optional
+        Of the `N_RESAMPLES` resamples.
+
+    Returns
+    -------
+    place, low, high : int
+        Indices of the m values; the ends are quantiles of the place over resampled repetitions.
+
+    Raises
+    ------
+    InputError
+        There is no repetition.
+    """
+    values = _checked(samples)
+    n = len(values)
+    counts = np.random.default_rng(seed).multinomial(n, np.full(n, 1.0 / n), size=N_RESAMPLES)
+    places = (counts @ values).argmin(axis=1)
+    low, high = np.quantile(places, [0.5 * (1.0 - level), 0.5 * (1.0 + level)], method="inverted_cdf")
+    return int(values.mean(axis=0).argmin()), int(low), int(high)
+
+
+def held_out(samples: Any) -> Table:
+    """Return each repetition's value at the place that is best for the mean of the other half of them.
+
+    The smallest of many mean values is too small, as it was chosen for being so; these values are not. The halves
+    are every other repetition. Leaving out one at a time would not do: where all choices agree, what was left out
+    had its say in the others'. Student's interval of these values still leaves 0 out a little too often, in 6 of
+    100 cases instead of 2.5 on its better side.
+
+    Parameters
+    ----------
+    samples : array_like, (n, m)
+        A curve of m values for each of n repetitions.
+
+    Returns
+    -------
+    ndarray, (n,)
+        All NaN for n = 1.
+
+    Raises
+    ------
+    InputError
+        There is no repetition.
+    """
+    values = _checked(samples)
+    if len(values) == 1:
+        return np.full(1, math.nan)
+    places = [values[1::2].mean(axis=0).argmin(), values[::2].mean(axis=0).argmin()]
+    return np.asarray([row[places[i % 2]] for i, row in enumerate(values)])
+
+
+def _checked(samples: Any) -> Table:
+    values = np.asarray(samples, np.float64)
+    if values.ndim == 0 or len(values) == 0:
+        raise InputError("an interval needs repetitions, got none")
+    return values
