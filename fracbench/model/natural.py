@@ -66,7 +66,7 @@ def right_hand_side_row(v: Array, w: Array, theta: float, mu: float, i: int, out
 
 
 @jit
-def differentiate(u: Array, d: Array) -> None:
+def differences(u: Array, d: Array) -> None:
     """Write the forward differences of `u`, (H, W), 0 across the border, to `d`, (1, 2, H, W)."""
     for i in range(len(u) + 1):
         differentiate_row(u, i, d)

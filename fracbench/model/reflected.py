@@ -11,6 +11,7 @@ import scipy.fft
 from fracbench.model.arrays import Array, Float64Array
 from fracbench.model.fourier import line_plan
 from fracbench.model.gradient import GradientOperator
+from fracbench.model.natural import differences, right_hand_side
 from fracbench.model.proximal import add_and_divide, divide_by_sum
 from fracbench.model.threads import share
 from fracbench.model.transforms import cosine, cosine_back, derivatives, derivatives_adjoint
@@ -192,13 +193,14 @@ class NaturalGradient(CosineGradient):
         result[:-1] -= dy
         return result
 
+    def differentiate(self, u: Array, d: Array) -> None:
+        differences(u, d)
+
     def solve(
         self, v: Array, w: Array, theta: float, mu: float, system: tuple[Float64Array, Float64Array], u: Array
     ) -> None:
         height, width = self.shape
-        real = self.dtype.type
-        np.multiply(v, real(1.0 / theta), out=u)
-        u += real(mu) * self.adjoint(w)
+        right_hand_side(v, w, theta, mu, u)
         plan_y, plan_x, one_y, one_x = self._plan_y, self._plan_x, self._one_y, self._one_x
         share(lambda a, b: cosine(u, 1, a, b, one_x, plan_x, u), height)
         share(lambda a, b: cosine(u, 0, a, b, one_y, plan_y, u), width)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import reference_impl as ref
 
-from fracbench.model.natural import differentiate, right_hand_side
+from fracbench.model.natural import differences, right_hand_side
 
 SHAPES = pytest.mark.parametrize("shape", [(5, 4), (1, 6), (6, 1), (2, 2), (1, 1)])
 
@@ -17,7 +17,7 @@ def rng():
 @SHAPES
 def test_the_differences_are_those_of_the_image_repeated_at_its_border(rng, shape):
     u, d = rng.normal(size=shape), np.full((1, 2, *shape), np.nan)
-    differentiate(u, d)
+    differences(u, d)
     np.testing.assert_array_equal(d[0], ref.forward_gradient(u))
 
 
@@ -27,7 +27,7 @@ def test_the_right_hand_side_has_the_adjoint_of_the_differences(rng, shape):
     (u, v), w, d = rng.normal(size=(2, *shape)), rng.normal(size=(1, 2, *shape)), np.empty((1, 2, *shape))
     rhs = np.full(shape, np.nan)
     right_hand_side(v, w, 0.3, 5.0, rhs)
-    differentiate(u, d)
+    differences(u, d)
     assert np.vdot(u, rhs - v / 0.3) == pytest.approx(5.0 * np.vdot(d, w), abs=1e-12)
 
 
