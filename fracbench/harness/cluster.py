@@ -153,7 +153,10 @@ class DaskCrew:
 
     def close(self) -> None:
         """Leave the cluster; points under way there are given up, and their workers start anew."""
-        self._client.close(timeout=1)
+        for _, future in self._busy.values():
+            future.release()
+        with suppress(TimeoutError):  # what is left to do ends with this process
+            self._client.close(timeout=1)
 
 
 def _connect(address: str | None) -> Any:

@@ -187,8 +187,11 @@ def test_points_under_way_end_with_the_sweep(running, store, monkeypatch, tmp_pa
                 file.write(f"{os.getpid()}\n")
             time.sleep(60)
 
-        task.run_point = run_point
-        return compute()
+        real, task.run_point = task.run_point, run_point
+        try:
+            return compute()
+        finally:
+            task.run_point = real
 
     class Interrupted(cluster.DaskCrew):
         def wait(self, seconds):
