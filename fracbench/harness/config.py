@@ -292,7 +292,8 @@ def _typed(raw: Mapping[str, Any], choices: Mapping[str, str]) -> RunConfig:
         if key not in raw:
             raise InputError(f"{where}: `{key}` is missing; conf/config.yaml or a file of a group sets it")
     paths = record(_Paths, raw["paths"], f"{where}, paths")
-    method = get_method(require_name(raw["method"], "`method`", where))
+    # A protocol may bring its method with it; one that is asked for by name wins.
+    method = get_method(choices.get("method") or require_name(raw["method"], "`method`", where))
     params = FlowParams().replace(method.defaults)
     region = None if raw["region"] is None else record(Region, raw["region"], f"{where}, region")
     return RunConfig(

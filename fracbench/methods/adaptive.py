@@ -6,19 +6,33 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from fracbench.errors import InputError
 from fracbench.evaluation.structure import CLASSES, structure_classes
 from fracbench.methods.variational import split_bregman, v_step
-from fracbench.model import pyramid
+from fracbench.model import beyond, pyramid
 from fracbench.model.arrays import Array
 from fracbench.model.estimator import FlowResult, coarse_to_fine
 from fracbench.model.mapped import MappedGradient
 from fracbench.model.params import FlowParams
 from fracbench.model.regularizers import Regularizer
+from fracbench.model.solver import VStep
 
 
 def tvl1_sb_alpha_map(frame0: Array, frame1: Array, params: FlowParams, *, trace: bool = False) -> FlowResult:
-    """Compute flow with one order for each class of structure, `structure_classes` of frame 0 at each scale."""
-    return coarse_to_fine(frame0, frame1, params, _by_class, v_step, method="tvl1_sb_alpha_map", trace=trace)
+    """Compute flow with one order for each class of structure, and with what `fracbench.model.beyond` offers.
+
+    The classes are `structure_classes` of frame 0 at each scale.
+    """
+    if trace and params.lambda_gradient:
+        raise InputError("`trace` needs lambda_gradient=0: the energy that it records is the paper's")
+    return coarse_to_fine(
+        frame0, frame1, params, _by_class, _v_step,
+        make_residual=beyond.residual, make_refiner=beyond.refiner, method="tvl1_sb_alpha_map", trace=trace,
+    )  # fmt: skip
+
+
+def _v_step(like: Array, params: FlowParams) -> VStep:
+    return beyond.channel_step(like, params) or v_step(like, params)
 
 
 def flow_with_orders(
@@ -58,9 +72,11 @@ def flow_with_orders(
 
 
 def _by_class(params: FlowParams, frame0: Array) -> Regularizer:
-    classes = structure_classes(frame0)
     orders = [getattr(params, f"alpha_{name}") for name in CLASSES]
     alphas = sorted(set(orders))  # classes of one order share their split variable
     of_class = np.array([alphas.index(order) for order in orders])
-    weights = np.equal.outer(np.arange(len(alphas)), of_class[classes])
+    classes = structure_classes(frame0) if len(alphas) > 1 else np.zeros(frame0.shape, np.uint8)
+    weights = np.equal.outer(np.arange(len(alphas)), of_class[classes]).astype(frame0.dtype)
+    if params.edge_decay:
+        weights *= beyond.edge_weights(frame0, params.edge_decay, params.edge_power)
     return split_bregman(MappedGradient(alphas, weights, frame0.dtype), params)

@@ -12,10 +12,12 @@ from fracbench.model import pyramid
 from fracbench.model.arrays import Array
 from fracbench.model.params import FlowParams
 from fracbench.model.regularizers import Regularizer
-from fracbench.model.solver import LevelReport, PenaltyStep, Stopwatch, VStep, solve_level
+from fracbench.model.solver import Brightness, LevelReport, PenaltyStep, Residual, Stopwatch, VStep, solve_level
 
 RegularizerFactory = Callable[[FlowParams, Array], Regularizer]
 VStepFactory = Callable[[Array, FlowParams], VStep]
+ResidualFactory = Callable[[Array, Array, FlowParams], Residual]
+RefinerFactory = Callable[[Array, Array, FlowParams], Callable[[Array], Array] | None]
 
 
 @dataclass
@@ -72,6 +74,8 @@ def coarse_to_fine(
     make_regularizer: RegularizerFactory,
     make_v_step: VStepFactory = PenaltyStep,
     *,
+    make_residual: ResidualFactory = Brightness,
+    make_refiner: RefinerFactory | None = None,
     method: str = "",
     trace: bool = False,
 ) -> FlowResult:
@@ -87,6 +91,10 @@ def coarse_to_fine(
         Gives the u-step for a scale, from frame 0 at that scale: of its shape, in its precision.
     make_v_step : callable, optional
         Gives the v-step for a scale: the paper's by default.
+    make_residual : callable, optional
+        Gives the data of a scale, from both frames there: the paper's by default.
+    make_refiner : callable, optional
+        Gives what becomes of the flow after each warp, from both frames at a scale: nothing by default.
     method : str, optional
         Name for the result.
     trace : bool, optional
@@ -117,11 +125,11 @@ def coarse_to_fine(
         if s < len(shapes) - 1:
             flow = pyramid.upsample_flow(flow, shapes[s], params.upsample_gain)
         regularizer = make_regularizer(params, pyramids[0][s])
+        frames = pyramids[0][s], pyramids[1][s]
+        residual, v_step = make_residual(*frames, params), make_v_step(flow, params)
+        refine = make_refiner(*frames, params) if make_refiner else None
         watch.lap("setup")
-        v_step = make_v_step(flow, params)
-        flow, report = solve_level(
-            pyramids[0][s], pyramids[1][s], flow, params, regularizer, v_step, watch, trace=trace
-        )
+        flow, report = solve_level(residual, flow, params, regularizer, v_step, watch, refine=refine, trace=trace)
         levels.append(report)
     return FlowResult(
         np.asarray(flow, np.float32), method, params, levels, dict(watch.seconds), _notices(params, shapes)

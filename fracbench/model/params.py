@@ -148,6 +148,22 @@ class FlowParams:
     alpha_edge: float = _param(1.3, "order where frame 0 is an edge", low=0.0, high=2.0)
     alpha_corner: float = _param(1.3, "order where frame 0 is a corner", low=0.0, high=2.0)
     alpha_texture: float = _param(1.3, "order where frame 0 is textured", low=0.0, high=2.0)
+    lambda_gradient: float = _param(
+        0.0, "data attachment weight of each derivative of the frames; 0: the frames alone", low=0.0
+    )
+    derivatives: Literal["frame1", "both"] = _param(
+        "frame1", "image derivatives: central differences of frame 1, or five-point ones, the mean of both frames"
+    )
+    edge_decay: float = _param(
+        0.0, "k of the edge weights exp(-k |grad I|^b) on the regulariser; 0: none", low=0.0
+    )
+    edge_power: float = _param(0.5, "b of the edge weights", low=0.0, high=4.0, open_low=True)
+    median_radius: int = _param(
+        0, "radius of the median filter of the flow after each warp, pixels; 0: none", low=0, high=10
+    )
+    weighted_radius: int = _param(
+        0, "radius of the weighted median near motion edges after each warp, pixels; 0: none", low=0, high=20
+    )
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:

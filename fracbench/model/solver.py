@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -136,23 +136,54 @@ class MultiplierStep:
         return self._target
 
 
+class Residual(Protocol):
+    """What the solver asks of the data at a scale: the residual, linearised at a flow."""
+
+    def at(self, u0: Array) -> Linearization:
+        """Return the residual at `u0`, (2, H, W); it is overwritten by the next call."""
+        ...
+
+
+class Brightness:
+    """The paper's residual: the difference of brightness, linearised.
+
+    Parameters
+    ----------
+    frame0, frame1 : ndarray, shape (H, W)
+        The frames at a scale, 0..255.
+    params : FlowParams
+        Factor on the image gradient.
+    """
+
+    def __init__(self, frame0: Array, frame1: Array, params: FlowParams) -> None:
+        self._frames = frame0, frame1
+        self._gradient1 = central_gradient(frame1, params.gradient_scale)
+        self._linear = Linearization(np.empty_like(frame0), np.empty_like(self._gradient1))
+
+    def at(self, u0: Array) -> Linearization:
+        """Warp frame 1 and its gradient; see `Residual`."""
+        arrays = *self._frames, self._gradient1, u0, *self._linear
+        share(lambda a, b: linearize(*arrays, a, b), u0.shape[1])
+        return self._linear
+
+
 def solve_level(
-    frame0: Array,
-    frame1: Array,
+    residual: Residual,
     u: Array,
     params: FlowParams,
     regularizer: Regularizer,
     v_step: VStep,
     watch: Stopwatch,
     *,
+    refine: Callable[[Array], Array] | None = None,
     trace: bool = False,
 ) -> tuple[Array, LevelReport]:
     """Run Algorithm 2 at one scale.
 
     Parameters
     ----------
-    frame0, frame1 : ndarray, shape (H, W)
-        The frames at this scale, 0..255.
+    residual : Residual
+        The data.
     u : ndarray, shape (2, H, W)
         Initial flow; overwritten.
     params : FlowParams
@@ -163,6 +194,8 @@ def solve_level(
         The v-step.
     watch : Stopwatch
         Adds up seconds by phase.
+    refine : callable, optional
+        What becomes of the flow after each warp, e.g. a median filter.
     trace : bool, optional
         Record the energy after each iteration (slow).
 
@@ -173,14 +206,12 @@ def solve_level(
     report : LevelReport
         Iterations and stop reasons.
     """
-    report = LevelReport(shape=(frame0.shape[0], frame0.shape[1]))
-    gradient1 = central_gradient(frame1, params.gradient_scale)
-    linear = Linearization(np.empty_like(frame0), np.empty_like(gradient1))
+    report = LevelReport(shape=(u.shape[1], u.shape[2]))
     u0, after = np.zeros_like(u), np.empty_like(u)
     for _ in range(params.n_warps):
         if params.relinearise:
             u0 = u
-        share(partial(_linearize_rows, (frame0, frame1, gradient1, u0, *linear)), len(frame0))
+        linear = residual.at(u0)
         v_step.relinearised()
         watch.lap("warping")
         if params.dual_restart:
@@ -190,11 +221,10 @@ def solve_level(
         watch.lap("solving")
         if report.stop[-1] == "diverged":
             break
+        if refine is not None:
+            u = refine(u)
+            watch.lap("filtering")
     return u, report
-
-
-def _linearize_rows(arrays: tuple[Array, Array, Array, Array, Array, Array], start: int, stop: int) -> None:
-    linearize(*arrays, start, stop)
 
 
 def _alternate(

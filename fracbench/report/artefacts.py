@@ -14,6 +14,7 @@ from fracbench.harness.experiment import Experiment
 from fracbench.harness.plan import Plan
 from fracbench.harness.store import Row
 from fracbench.report import paper, tables
+from fracbench.report.accurate_study import accurate_study
 from fracbench.report.alpha_by_structure import alpha_by_structure
 from fracbench.report.alpha_regions import alpha_regions
 from fracbench.report.base import Artefact, Renderer, best_values, file_stem
@@ -156,6 +157,7 @@ def _is_logarithmic(values: pd.Series) -> bool:
 
 
 RENDERERS: dict[str, Renderer] = {
+    "accurate_study": accurate_study,
     "alpha_by_structure": alpha_by_structure,
     "alpha_regions": alpha_regions,
     "convergence": convergence,

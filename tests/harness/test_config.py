@@ -19,7 +19,7 @@ from fracbench.methods.registry import METHODS
 from fracbench.model.params import FlowParams
 
 PAPERS_METHODS = {"tvl1", "tvl1_sb", "tvl1_sb_alpha"}
-PROTOCOLS = {"as_printed", "published", "recommended", "reference"}
+PROTOCOLS = {"accurate", "as_printed", "published", "recommended", "reference"}
 
 #: Table 2 of the paper, by hand: lambda, theta, number of scales.
 TABLE_2 = {
@@ -170,6 +170,18 @@ def test_later_groups_win_and_the_command_line_wins_over_all(own_conf):
     params = load_config(choices).override({"max_iter": "4"}).params
     assert (params.u_solver, params.inner) == ("gauss_seidel", "cold")  # the method's own
     assert (params.tol, params.max_inner, params.n_warps, params.max_iter) == (1.0, 2, 3, 4)
+
+
+def test_a_protocol_may_bring_its_method_and_one_asked_for_by_name_wins():
+    assert load_config({"protocol": "accurate"}).method.name == "tvl1_sb_alpha_map"
+    asked = load_config({"protocol": "accurate", "method": "tvl1"})
+    assert (asked.method.name, asked.params.eta) == ("tvl1", 0.7)
+
+
+def test_the_accurate_protocol_is_the_same_for_every_sequence():
+    sequences = [name for name in group_options("sequence") if not name.startswith("synthetic")]
+    params = [load_config({"protocol": "accurate", "sequence": name}).params for name in sequences]
+    assert len(params) == 8 and all(one == params[0] for one in params)
 
 
 def test_a_parameter_that_no_group_sets_keeps_its_default():

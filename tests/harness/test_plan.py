@@ -179,6 +179,8 @@ OTHER = {
     "upsample_gain": "0.5", "relinearise": "false", "dual_restart": "true", "gradient_scale": "2",
     "epsilon_squared": "false", "dtype": "float64", "coupling": "penalty", "coupling_step": "2",
     "relaxation": "1.1", "alpha_flat": "0.9", "alpha_edge": "0.9", "alpha_corner": "0.9", "alpha_texture": "0.9",
+    "lambda_gradient": "1", "derivatives": "both", "edge_decay": "0.1", "edge_power": "1", "median_radius": "1",
+    "weighted_radius": "2",
 }  # fmt: skip
 
 

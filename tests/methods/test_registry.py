@@ -44,6 +44,12 @@ VARIATIONS = {
     "alpha_edge": ({}, 1.3, 0.5),
     "alpha_corner": ({}, 1.3, 0.5),
     "alpha_texture": ({}, 1.3, 0.5),
+    "lambda_gradient": ({}, 0.0, 0.5),
+    "derivatives": ({}, "frame1", "both"),
+    "edge_decay": ({}, 0.0, 0.3),
+    "edge_power": ({"edge_decay": 0.3}, 0.5, 1.0),
+    "median_radius": ({}, 0, 1),
+    "weighted_radius": ({"gradient_scale": 0.1}, 0, 2),  # a flow too long has edges
 }
 SMALL = {"n_warps": 3, "max_iter": 10, "epsilon": 1e-3, "max_inner": 8}
 
