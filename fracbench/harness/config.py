@@ -292,8 +292,7 @@ def _typed(raw: Mapping[str, Any], choices: Mapping[str, str]) -> RunConfig:
         if key not in raw:
             raise InputError(f"{where}: `{key}` is missing; conf/config.yaml or a file of a group sets it")
     paths = record(_Paths, raw["paths"], f"{where}, paths")
-    # A protocol may bring its method with it; one that is asked for by name wins.
-    method = get_method(choices.get("method") or require_name(raw["method"], "`method`", where))
+    method = get_method(_method_name(raw["method"], choices, where))
     params = FlowParams().replace(method.defaults)
     region = None if raw["region"] is None else record(Region, raw["region"], f"{where}, region")
     return RunConfig(
@@ -311,6 +310,13 @@ def _typed(raw: Mapping[str, Any], choices: Mapping[str, str]) -> RunConfig:
         data=paths.data,
         results=Path(paths.results),
     )
+
+
+def _method_name(raw: Any, choices: Mapping[str, str], where: str) -> str:
+    """Return the method: a protocol may bring one with it, but one that is asked for wins."""
+    if "method" in choices and choices.keys() > {"method"}:
+        raw = _compose((("method", choices["method"]),))["method"]
+    return require_name(raw, "`method`", where)
 
 
 @dataclass(frozen=True)

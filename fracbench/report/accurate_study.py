@@ -148,11 +148,11 @@ def ablation_sentences(ablation: pd.DataFrame) -> list[str]:
     aepe = ablation.set_index("part")["AEPE"]
     sentences = []
     for name in (part.partition("/")[2] for part in aepe.index if part.startswith(f"{PLAIN}/")):
-        added, removed = aepe[f"{PLAIN}/{name}"] / aepe[PLAIN], aepe.get(f"{ALL}/{name}", math.nan) / aepe[ALL]
-        if math.isfinite(added) and math.isfinite(removed):
+        added, taken = aepe[f"{PLAIN}/{name}"] / aepe[PLAIN], aepe.get(f"{ALL}/{name}", math.nan) / aepe[ALL]
+        if math.isfinite(added) and math.isfinite(taken):
             sentences.append(
                 f"{name}: added alone {100.0 * (added - 1.0):+.1f} % AEPE, "
-                f"taken from the whole {100.0 * (removed - 1.0):+.1f} %."
+                f"taken from the whole {100.0 * (taken - 1.0):+.1f} %."
             )
     return sentences
 

@@ -86,7 +86,9 @@ def test_a_failed_point_leaves_no_choice(grid):
 
 def test_the_ablation_holds_means_and_sequences(ablated):
     table = ablation_table(ablated).set_index("part")
-    assert table.loc["plain/x", ["seconds", "AEPE", "AEPE a", "AEPE b"]].tolist() == pytest.approx([2.0, 1.6, 0.8, 2.4])
+    assert table.loc["plain/x", ["seconds", "AEPE", "AEPE a", "AEPE b"]].tolist() == pytest.approx(
+        [2.0, 1.6, 0.8, 2.4]
+    )
     assert table.loc["accurate", "AAE"] == pytest.approx(math.degrees(0.1))
     assert ablation_sentences(table.reset_index()) == [
         "x: added alone -20.0 % AEPE, taken from the whole +20.0 %.",
@@ -109,7 +111,9 @@ def study():
 
 def test_the_experiment_adds_and_takes_away_each_ingredient():
     grids = load_experiment("accurate").grids
-    added, taken = ({p.partition("/")[2] for p in grids if p.startswith(f"{whole}/")} for whole in ("plain", "accurate"))
+    added, taken = (
+        {p.partition("/")[2] for p in grids if p.startswith(f"{whole}/")} for whole in ("plain", "accurate")
+    )
     assert added == taken and len(added) == 6
     experiment = load_experiment("accurate")
     plan = plan_experiment(experiment.grids, ["dataset=synthetic"], allow_download=False)
@@ -120,9 +124,12 @@ def test_the_experiment_adds_and_takes_away_each_ingredient():
     def changed(part, whole):
         return {name for name, value in params[part].items() if value != params[whole][name]}
 
-    for name in added:
+    for name in taken:
         assert changed(f"plain/{name}", "plain") == changed(f"accurate/{name}", "accurate") != set()
-    ingredients = set.union(*(changed(f"plain/{name}", "plain") for name in added))
+    assert (
+        changed("plain/plain median", "plain") == changed("accurate+plain median", "accurate") == {"median_radius"}
+    )
+    ingredients = set.union(*(changed(f"plain/{name}", "plain") for name in taken))
     assert changed("accurate", "plain") == ingredients
 
 
@@ -136,7 +143,7 @@ def test_the_preset_is_among_its_choices(study):
 
 def test_the_study_leaves_its_files(study, tmp_path, fake_rows):
     experiment, plan = study
-    rows = fake_rows(plan, lambda labels, params: (0.1, 0.2 + 0.1 * float(params["edge_decay"]), 0.3))
+    rows = fake_rows(plan, lambda labels, params: (0.1, 0.2 + 0.1 * float(params["lambda"]), 0.3))
     drawn = accurate_study(experiment, plan, rows, tmp_path)
     assert sorted(path.name for path in drawn.files) == [
         "accurate_synthetic.csv",
@@ -145,7 +152,7 @@ def test_the_study_leaves_its_files(study, tmp_path, fake_rows):
     ]
     assert "seconds" not in pd.read_csv(drawn.files[0]).columns
     text = drawn.files[-1].read_text(encoding="utf-8")
-    assert "Chosen on the other sequences: AEPE 0.2100 px" in text and experiment.title in text
+    assert "Chosen on the other sequences: AEPE 0.2150 px" in text and experiment.title in text
     assert artefacts.require_renderer(experiment) is accurate_study
 
 
