@@ -152,12 +152,12 @@ class FlowParams:
         0.0, "data attachment weight of each derivative of the frames; 0: the frames alone", low=0.0
     )
     derivatives: Literal["frame1", "both"] = _param(
-        "frame1", "image derivatives: central differences of frame 1, or five-point ones, the mean of both frames"
+        "frame1", "image derivatives: central ones of frame 1, or the mean of five-point ones of both frames"
     )
     edge_decay: float = _param(
-        0.0, "k of the edge weights exp(-k |grad I|^b) on the regulariser; 0: none", low=0.0
+        0.0, "k of the weights exp(-k g^b) on the regulariser, g the gradient of frame 0; 0: none", low=0.0
     )
-    edge_power: float = _param(0.5, "b of the edge weights", low=0.0, high=4.0, open_low=True)
+    edge_power: float = _param(0.5, "b of the weights exp(-k g^b)", low=0.0, high=4.0, open_low=True)
     median_radius: int = _param(
         0, "radius of the median filter of the flow after each warp, pixels; 0: none", low=0, high=10
     )
