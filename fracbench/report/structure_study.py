@@ -16,7 +16,7 @@ from fracbench.report.base import FLAT
 if TYPE_CHECKING:
     import pandas as pd
 
-#: Parts of the experiment: rendered scenes, repeated over seeds; classes of pixels, repeated over regions or sequences.
+#: Parts of the experiment: rendered scenes, repeated over seeds; classes of pixels, over regions or sequences.
 SCENES, BY_CLASS = "scenes", "classes"
 #: What stands for all pixels among the classes.
 ALL = "all"
