@@ -91,7 +91,8 @@ def _compute(point: Point, folder: Path | None, machine: dict[str, Any], guard: 
         "notices": flow_result.notices,
     }
     if point.score == "structure":
-        by_class = errors_by_class(*scored, structure_classes(frame0)[inner])
+        classes = structure_classes(_sequence_of(point, folder).frame0)
+        by_class = errors_by_class(*scored, classes if point.box is None else classes[_inside(point.box)])
         result["classes"] = {name: vars(found) for name, found in by_class.items()}
     peak = peak_mib()
     error = _divergence(point.method, frame0, frame1, flow_result.flow, params, result["stop"], errors.n_nonfinite)
@@ -151,16 +152,26 @@ def point_arrays(point: Point, folder: Path | None) -> tuple[Any, Any, Any, tupl
     InputError
         The data are not what the point was planned for.
     """
-    sequence = _held.get(point.data_digest)
-    if sequence is None:
-        sequence = _sequence(point.sequence, point.dataset, folder, float(point.noise), point.seed)
-    if sequence.digest != point.data_digest:
-        raise InputError(f"sequence {point.sequence}: the data changed while the sweep was running")
+    sequence = _sequence_of(point, folder)
     if point.box is None:
         return sequence.frame0, sequence.frame1, sequence.truth, (slice(None), slice(None))
     row0, row1, col0, col1 = point.box
     region = Region("box", sequence.name, (row0, row1), (col0, col1))
     return crop(sequence, region, point.context)
+
+
+def _sequence_of(point: Point, folder: Path | None) -> Sequence:
+    sequence = _held.get(point.data_digest)
+    if sequence is None:
+        sequence = _sequence(point.sequence, point.dataset, folder, float(point.noise), point.seed)
+    if sequence.digest != point.data_digest:
+        raise InputError(f"sequence {point.sequence}: the data changed while the sweep was running")
+    return sequence
+
+
+def _inside(box: tuple[int, int, int, int]) -> tuple[slice, slice]:
+    row0, row1, col0, col1 = box
+    return slice(row0, row1), slice(col0, col1)
 
 
 _warmed: set[tuple[str, ...]] = set()
