@@ -11,39 +11,6 @@ from numpy.typing import NDArray
 from fracbench.model._jit import jit
 
 _NOT_SCORED = -1.0
-# atan(x) = x + x z P(z) / Q(z) with z = x^2, |x| <= 0.66, to a few units in the last place (Cephes, S. Moshier)
-_P0, _P1, _P2 = -8.750608600031904122785e-1, -1.615753718733365076637e1, -7.500855792314704667340e1
-_P3, _P4 = -1.228866684490136173410e2, -6.485021904942025371773e1
-_Q0, _Q1, _Q2 = 2.485846490142306297962e1, 1.650270098316988542046e2, 4.328810604912902668951e2
-_Q3, _Q4 = 4.853903996359136964868e2, 1.945506571482613964425e2
-_TAN_3_PI_8 = 1.0 + math.sqrt(2.0)
-
-
-@jit
-def angle(y: float, x: float) -> float:
-    """Return ``atan2(y, x)`` for ``y >= 0``, in arithmetic that the compiler can do for many pixels at once.
-
-    Parameters
-    ----------
-    y, x : float
-        Not both 0.
-
-    Returns
-    -------
-    float
-        In [0, pi].
-    """
-    side = abs(x)
-    steep, middle = y > _TAN_3_PI_8 * side, y > 0.66 * side
-    above = -side if steep else y - side if middle else y
-    below = y if steep else y + side if middle else side
-    t = above / below
-    z = t * t
-    p = (((_P0 * z + _P1) * z + _P2) * z + _P3) * z + _P4
-    q = ((((z + _Q0) * z + _Q1) * z + _Q2) * z + _Q3) * z + _Q4
-    start = 0.5 * math.pi if steep else 0.25 * math.pi if middle else 0.0
-    turned = start + (t + t * (z * p / q))
-    return math.pi - turned if x < 0.0 else turned
 
 
 @jit
@@ -113,5 +80,7 @@ def _errors(
         d1, d2 = (u1 - g1) * shrunk, (u2 - g2) * shrunk
         across = d1 * g2 - d2 * g1
         apart = d1 * d1 + d2 * d2
-        angles[j] = angle(math.sqrt(apart + across * across), (u1 * shrunk) * g1 + (u2 * shrunk) * g2 + shrunk)
+        angles[j] = math.atan2(
+            math.sqrt(apart + across * across), (u1 * shrunk) * g1 + (u2 * shrunk) * g2 + shrunk
+        )
         lengths[j] = scale * math.sqrt(apart)

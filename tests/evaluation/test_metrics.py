@@ -11,7 +11,6 @@ from hypothesis.extra.numpy import arrays
 
 from fracbench.data import middlebury as middlebury_data
 from fracbench.errors import InputError
-from fracbench.evaluation._sums import angle
 from fracbench.evaluation.metrics import (
     CONVENTIONS,
     FlowErrors,
@@ -155,14 +154,6 @@ class TestFlowErrors:
         errors = flow_errors(u, gt)
         expected = (angles.mean(), distances.mean(), angles.std())
         assert (errors.aae, errors.aepe, errors.sdae) == pytest.approx(expected, rel=1e-12)
-
-    @given(st.floats(-20, 20), st.floats(0, math.pi))
-    def test_the_angle_is_the_arcus_tangens(self, decades, direction):
-        y, x = 10.0**decades * abs(math.sin(direction)), math.cos(direction)
-        assert angle(y, x) == pytest.approx(math.atan2(y, x), rel=1e-15)
-
-    def test_the_angle_at_the_ends(self):
-        assert [angle(0.0, 2.0), angle(3.0, 0.0), angle(0.0, -1.0)] == [0.0, math.pi / 2, math.pi]
 
     def test_degrees(self):
         assert FlowErrors(math.pi / 2, 1.0, math.pi / 4, 1, 0, 0).degrees == (90.0, 45.0)

@@ -145,14 +145,14 @@ def test_the_weights_of_this_test_are_the_packages_but_for_the_shift(checked, mo
 
 
 def test_a_border_left_out_of_the_metric_is_seen(checked, monkeypatch):
-    known = metrics._known
+    whole = metrics._checked_mask
 
-    def inner(truth):
-        mask = known(truth)
-        mask[:, 0] = False
-        return mask
+    def inner(mask, shape):
+        inside = whole(mask, shape).copy()
+        inside[:, 0] = False
+        return inside
 
-    monkeypatch.setattr(metrics, "_known", inner)
+    monkeypatch.setattr(metrics, "_checked_mask", inner)
     assert "n_pixels" in columns(checked(SCENES))
 
 
@@ -185,7 +185,8 @@ def test_another_formula_for_gray_is_seen(data, checked, monkeypatch, formula):
 
 @pytest.mark.middlebury
 def test_unknown_pixels_that_are_scored_are_seen(data, checked, monkeypatch):
-    monkeypatch.setattr(metrics, "_known", lambda truth: np.ones(truth.shape[1:], bool))
+    checked_flows = metrics._checked
+    monkeypatch.setattr(metrics, "_checked", lambda *flows: tuple(map(np.nan_to_num, checked_flows(*flows))))
     assert columns(checked(UNKNOWN)) >= {"aae", "aepe", "sdae", "n_pixels", "n_unknown"}
 
 
