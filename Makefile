@@ -33,7 +33,7 @@ check: $(VENV)/.ready ## recompute the stored tables and compare them cell by ce
 	$(FRACBENCH) check
 
 test: $(VENV)/.ready ## all tests
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses 2 --dist loadfile
 
 test-python: $(VENV)/.ready ## the numerics without compilation: the same code as plain Python
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q $(addprefix tests/model/test_, $(addsuffix .py, \
