@@ -182,7 +182,7 @@ def _figure(
 
 def _order_pictures(experiment: Experiment, plan: Plan, results: Path, oracles: Oracles) -> list[Path]:
     """Paint the first sequences' classes and orders; they hold frames of Middlebury, so they are private."""
-    from fracbench.report.adaptive_figures import order_pictures
+    from fracbench.report.adaptive_figures import order_pictures, order_title
     from fracbench.report.drawing import draw
     from fracbench.report.pictures import frame_panel
 
@@ -191,8 +191,7 @@ def _order_pictures(experiment: Experiment, plan: Plan, results: Path, oracles: 
     if not items:
         return []
     stem = file_stem(f"{experiment.name}_orders", plan, tables.ensure_folder(results / PRIVATE))
-    title = "The classes of the first frame, and the orders that the truth would choose"
-    return draw(stem, frame_panel, order_pictures(items), columns=3, title=title)
+    return draw(stem, frame_panel, order_pictures(items), columns=3, title=order_title(items[0][-1]))
 
 
 def _maps(name: str, experiment: Experiment, plan: Plan, results: Path) -> list[tuple[Any, ...]]:

@@ -97,10 +97,21 @@ def order_pictures(items: Sequence[tuple[Any, ...]]) -> list[tuple[str, NDArray[
     Returns
     -------
     list of (str, ndarray of uint8, (H, W, 3))
-        With their titles, which say what the colours mean.
+        With their titles; see `order_title` for the colours.
     """
-    return [(f"{name}: {_meaning(scope, alphas)}", veiled(frame, found, _colours(scope, len(alphas))))
-            for name, frame, scope, found, alphas in items]  # fmt: skip
+    return [
+        (f"{name}\n{_SCOPES[scope]}", veiled(frame, found, _colours(scope, len(alphas))))
+        for name, frame, scope, found, alphas in items
+    ]
+
+
+def order_title(alphas: Sequence[float]) -> str:
+    """Return what the colours of `order_pictures` mean."""
+    words = ", ".join(f"{word} {name}" for name, (word, _) in CLASS_COLOURS.items())
+    return (
+        f"Classes of the first frame ({words}),\nand the orders that the truth would choose "
+        f"(blue {alphas[0]:g} to yellow {alphas[-1]:g})"
+    )
 
 
 def _colours(scope: str, n: int) -> Sequence[Any]:
@@ -109,9 +120,3 @@ def _colours(scope: str, n: int) -> Sequence[Any]:
     if scope == "classes":
         return [colour for _, colour in CLASS_COLOURS.values()]
     return [tuple(colour) for colour in matplotlib.colormaps["cividis"](np.linspace(0.0, 1.0, n))[:, :3]]
-
-
-def _meaning(scope: str, alphas: Sequence[float]) -> str:
-    if scope == "classes":
-        return "\n" + ", ".join(f"{word} {name}" for name, (word, _) in CLASS_COLOURS.items())
-    return f"{_SCOPES[scope]}\nblue {alphas[0]:g} to yellow {alphas[-1]:g}"

@@ -195,6 +195,7 @@ def adaptive_sentences(table: pd.DataFrame, oracles: Oracles) -> list[str]:
         f"{'reached' if met else 'not reached'}.",
         f"Mean AAE: {means.loc['adaptive', 'aae']:.4f} rad against {means.loc['single', 'aae']:.4f} rad.",
     ]
+    sentences += _where(table)
     if not math.isnan(one := means.loc["one", "aepe"]):
         parts = [_less(100.0 * (1.0 - means.loc[name, "aepe"] / one)) for name in ("single", "adaptive")]
         sentences.append(f"Against alpha = 1 ({one:.4f} px) one alpha errs {parts[0]}, alpha by class {parts[1]}.")
@@ -206,6 +207,18 @@ def adaptive_sentences(table: pd.DataFrame, oracles: Oracles) -> list[str]:
     if means.loc[[f"{kind} {scope}" for kind in ("run", "least") for scope in SCOPES], "gain"].isna().any():
         return sentences
     return [*sentences, *_bounds(means), *([] if met else _reasons(means, oracles))]
+
+
+def _where(table: pd.DataFrame) -> list[str]:
+    """Say on which sequences alpha by class gains and on which it loses, largest first."""
+    gains = table[(table["estimate"] == "adaptive") & (table["sequence"] != MEAN)].set_index("sequence")["gain"]
+    gains = gains.sort_values(key=abs, ascending=False, kind="stable")
+    parts = {"It gains on": gains[gains > 0.0], "It does not gain on": gains[gains <= 0.0]}
+    return [
+        f"{words} {', '.join(f'{name} ({_less(gain)})' for name, gain in part.items())}."
+        for words, part in parts.items()
+        if len(part)
+    ]
 
 
 def _less(gain: float) -> str:
@@ -239,11 +252,18 @@ def _reasons(means: pd.DataFrame, oracles: Oracles) -> list[str]:
         f"best order of each class, known for each sequence, {_less(by_class)}, of which the best single alpha of "
         f"each sequence alone {_less(own)}."
     )
+    sentences = [sentence]
+    if means.loc["run window", "gain"] < 0.0 < room:
+        sentences.append(
+            "That an order is the best one about a pixel among the single flows does not make it the best order "
+            "there in a map: run as maps, the orders by neighbourhood err "
+            f"{_less(means.loc['run window', 'gain'])}, those by pixel {_less(means.loc['run pixel', 'gain'])}."
+        )
     told, guessed = predictability(oracles)
     spread = class_orders(oracles)
     ranges = ", ".join(f"{name} {spread[name].min():g} to {spread[name].max():g}" for name in CLASSES)
     return [
-        sentence,
+        *sentences,
         f"Who knows the class of a pixel and takes the order that is most often best about its class is right at "
         f"{told:.0f} % of the pixels; who does not know it, at {guessed:.0f} %. Over the sequences, the order "
         f"with the least error on a class runs: {ranges}.",

@@ -14,7 +14,7 @@ from fracbench.harness.experiment import load_experiment
 from fracbench.harness.oracle import SCOPES
 from fracbench.harness.plan import plan_experiment
 from fracbench.report import adaptive_alpha as artefact
-from fracbench.report.adaptive_figures import gain_panels, order_pictures
+from fracbench.report.adaptive_figures import gain_panels, order_pictures, order_title
 from fracbench.report.adaptive_study import (
     MEAN,
     adaptive_sentences,
@@ -99,8 +99,9 @@ def test_a_goal_that_is_reached_is_said_without_reasons():
         "reached."
     )
     assert not any(sentence.startswith("Why") for sentence in sentences)
-    assert "one alpha errs 6.2 % more, alpha by class 10.0 % less." in sentences[2]
-    assert "by class (flat/edge/corner/texture) 0.9/1.3/1.3/1.3 (0.1800 px)" in sentences[3]
+    assert sentences[2].startswith("It gains on s0 (40.0 % less), s1 (10.0 % less), s2")
+    assert "one alpha errs 6.2 % more, alpha by class 10.0 % less." in sentences[3]
+    assert "by class (flat/edge/corner/texture) 0.9/1.3/1.3/1.3 (0.1800 px)" in sentences[4]
 
 
 @pytest.mark.parametrize(
@@ -119,8 +120,13 @@ def test_a_goal_that_is_missed_has_its_reason_computed(least, cause):
         "0.0 % less, and better on 0 of 8 sequences. The goal of 3 % and 6 sequences is not reached."
         in sentences[0]
     )
+    assert sentences[2].startswith("It does not gain on s0 (0.0 % less)")
     why = [sentence for sentence in sentences if sentence.startswith("Why")]
     assert len(why) == 1 and cause in why[0]
+    assert not any(sentence.startswith("That an order") for sentence in sentences)
+    worse = dict.fromkeys(SEQUENCES, oracle(run=0.21, least=least, best=(0, 2, 2, 1)))
+    said = adaptive_sentences(adaptive_table(made_up(single, WORSE), worse), worse)
+    assert any("the orders by neighbourhood err 5.0 % more, those by pixel 5.0 % more" in line for line in said)
     assert "is right at 60 % of the pixels; who does not know it, at 40 %." in sentences[-1]
     assert "flat 0.6 to 0.6, edge 1.4 to 1.4" in sentences[-1]
 
@@ -134,7 +140,7 @@ def test_what_is_missing_leaves_no_number_and_no_sentence():
     one_missing = {name: oracle() if name != "s3" else None for name in SEQUENCES}
     table = adaptive_table(made_up(ONE, BETTER), one_missing)
     assert np.isnan(values(table, "run pixel", "aepe")[MEAN]) and values(table, "run pixel", "aepe")["s4"] == 0.15
-    assert len(adaptive_sentences(table, one_missing)) == 4  # nothing of bounds that are not all there
+    assert len(adaptive_sentences(table, one_missing)) == 5  # nothing of bounds that are not all there
 
 
 def test_the_confusion_is_counted_over_all_sequences():
@@ -162,7 +168,9 @@ def test_the_figure_shows_the_table():
 def test_pictures_are_veiled_in_the_colours_they_name():
     frame, found = np.full((2, 2), 200.0), np.array([[0, 1], [2, 3]], np.uint8)
     ((title, picture),) = order_pictures([("name", frame, "classes", found, ALPHAS)])
-    assert title == "name: \ngray flat, blue edge, red corner, green texture"
+    assert title == "name\nclasses"
+    assert "(gray flat, blue edge, red corner, green texture)" in order_title(ALPHAS)
+    assert "(blue 0.6 to yellow 1.4)" in order_title(ALPHAS)
     red, blue = picture[1, 0].astype(int), picture[0, 1].astype(int)
     assert red[0] > red[2] and blue[2] > blue[0] and len(set(picture[0, 0])) == 1
 
