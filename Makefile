@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 FRACBENCH := $(BIN)/python -m fracbench
 
 .DEFAULT_GOAL := help
-.PHONY: help setup table2 figures paper readme check test test-python lint format clean
+.PHONY: help setup table2 figures paper beyond readme check test test-python lint format clean
 
 help: ## list the commands
 	@awk -F ':.*## ' '/^[a-z0-9_-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -25,6 +25,9 @@ figures: $(VENV)/.ready ## all figures of the paper
 
 paper: $(VENV)/.ready ## everything of the paper, with a verdict on every claim, on one page
 	$(FRACBENCH) report
+
+beyond: $(VENV)/.ready ## the experiments beyond the paper, in the same page's section of that name
+	$(FRACBENCH) report --beyond
 
 readme: $(VENV)/.ready ## renew the answer in README.md from what is stored
 	$(FRACBENCH) claims --readme README.md

@@ -116,6 +116,7 @@ def _add_paper(add: _Add) -> None:
     report.add_argument("--dry-run", action="store_true", help="count points and minutes, compute nothing")
     report.add_argument("--timeout", metavar="SECONDS", help=_TIMEOUT)
     report.add_argument("--small", action="store_true", help=_SMALL)
+    report.add_argument("--beyond", action="store_true", help="run the experiments beyond the paper instead")
     claims = add("claims", _claims, "judge the paper's claims by what is stored; compute nothing")
     claims.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="dataset= and paths. only")
     claims.add_argument("--small", action="store_true", help="judge the thinned grids")
@@ -250,7 +251,13 @@ def _report(arguments: argparse.Namespace) -> int:
     from fracbench import reproduce
 
     settings = [*_settings("report", arguments.overrides), *_limit(arguments)]
-    failed = reproduce.report(settings, jobs=arguments.jobs, small=arguments.small, dry_run=arguments.dry_run)
+    failed = reproduce.report(
+        settings,
+        jobs=arguments.jobs,
+        small=arguments.small,
+        dry_run=arguments.dry_run,
+        beyond=arguments.beyond,
+    )
     return EXIT_FAILED if failed else EXIT_DONE
 
 

@@ -21,7 +21,12 @@ PAPER = ("table1", "table2", *_FIGURES, "regions_lambda_sb", "protocol_study", "
 
 
 def report(
-    settings: Sequence[str] = (), *, jobs: int | None = None, small: bool = False, dry_run: bool = False
+    settings: Sequence[str] = (),
+    *,
+    jobs: int | None = None,
+    small: bool = False,
+    dry_run: bool = False,
+    beyond: bool = False,
 ) -> int:
     """Run what is missing of the paper, judge its claims, and write the HTML page about it.
 
@@ -35,6 +40,8 @@ def report(
         Thin the grids; the names of files say so.
     dry_run : bool, optional
         Count points and minutes only.
+    beyond : bool, optional
+        Run the experiments beyond the paper instead of the paper's, and write the page with what is stored.
 
     Returns
     -------
@@ -46,6 +53,7 @@ def report(
     InputError
         Anything that the user can put right.
     """
+    from fracbench.report.beyond import EXPERIMENTS
     from fracbench.report.html import write_report
     from fracbench.report.sources import Sources
 
@@ -54,7 +62,8 @@ def report(
         console.note(f"note: {notice}")
     if start.dataset == "synthetic":  # decided once: where there is no network, each look for data costs seconds
         settings = [*(token for token in settings if not token.startswith("dataset=")), "dataset=synthetic"]
-    experiments = {name: load_experiment(name) for name in PAPER if name in list_experiments()}
+    wanted = EXPERIMENTS if beyond else PAPER
+    experiments = {name: load_experiment(name) for name in wanted if name in list_experiments()}
     plans = {
         name: plan_experiment(experiment.grids, settings, allow_download=not dry_run, small=small)
         for name, experiment in experiments.items()
@@ -63,16 +72,16 @@ def report(
     if dry_run:
         announce(_together(plans), start.config.results, workers)
         return 0
-    failed = run_paper(experiments, plans, workers)
+    failed = run_all(experiments, plans, workers)
     sources = Sources(start.config.results, settings, small, plans)
-    for line in write_verdicts(sources):
+    for line in [] if beyond else write_verdicts(sources):  # which are the paper's alone
         console.say(line)
     console.say(f"wrote {write_report(sources)}")
     console.say(f"{len(_together(plans).unique())} points in all")
     return failed
 
 
-def run_paper(experiments: Mapping[str, Experiment], plans: Mapping[str, Plan], jobs: int) -> int:
+def run_all(experiments: Mapping[str, Experiment], plans: Mapping[str, Plan], jobs: int) -> int:
     """Run what is missing of some experiments and write their artefacts, one line each.
 
     Parameters

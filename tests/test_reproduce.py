@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import re
+
 import pandas as pd
 import pytest
 
 from fracbench import reproduce
 from fracbench.harness import execute
 from fracbench.harness.job import Outcome
-from fracbench.report import html
+from fracbench.report import beyond, html
 
 TINY = "n_scales=1, n_warps=1, max_iter=1, sequence=synthetic_flat"
 
@@ -85,6 +87,21 @@ def test_data_that_cannot_be_had_are_looked_for_once(paper, cli, no_middlebury, 
     assert done.err.count("using the synthetic scenes in place of Middlebury") == 1
 
 
+def test_beyond_the_paper_its_own_experiments_are_run_and_no_claim_is_judged(paper, cli, monkeypatch):
+    monkeypatch.setattr(beyond, "EXPERIMENTS", ("two", "unwritten"))
+    done = cli("report", "--beyond", "dataset=synthetic", "paths.results=out")
+    assert done.code == 0
+    lines = done.out.splitlines()
+    assert lines[0] == "two: 3 points, 3 computed, wrote 3 files in out/sweeps"
+    assert lines[1:] == ["wrote out/page.html", "3 points in all"]
+    assert not (paper / "out/tables").exists()
+
+
+def test_the_experiments_beyond_the_paper_are_not_the_papers():
+    assert not set(beyond.EXPERIMENTS) & set(reproduce.PAPER)
+    assert {"alpha_by_structure", "adaptive_alpha"} <= set(beyond.EXPERIMENTS) & set(reproduce.list_experiments())
+
+
 @pytest.mark.parametrize(
     ("argv", "message"),
     [
@@ -133,7 +150,7 @@ def test_the_whole_paper_in_small_leaves_every_artefact(work, cli):
     assert set(verdicts) == {"cannot be judged"}
     page = work / "results/runs/report_synthetic_small.html"
     before = page.read_bytes()
-    assert b"Not computed yet" not in before
+    assert set(re.findall(rb"Not computed yet:</strong> the (\w+)", before)) == {b"experiment"}  # beyond the paper
     again = cli("report", "--small", "dataset=synthetic")
     assert again.code == 0 and again.out.count(" 0 computed") == len(reproduce.PAPER)
     assert page.read_bytes() == before

@@ -48,6 +48,10 @@ def _param(default: Any, text: str, **info: Any) -> Any:
 class FlowParams:
     """Parameters of a flow computation; the defaults are the preset `recommended`.
 
+    Those of `alpha_flat`, `alpha_edge`, `alpha_corner` and `alpha_texture` are the setting with the least mean
+    AEPE on Middlebury's eight sequences among those of ``experiments/adaptive_alpha.yaml``, by a small margin
+    over one alpha for all (docs/beyond.md).
+
     Each field's meaning, symbol and range stand in its metadata (`FlowParams.info`); ``fracbench table 1``
     prints them. In configurations and on the command line `lambda_` is called ``lambda``.
 
@@ -147,7 +151,7 @@ class FlowParams:
     alpha_flat: float = _param(1.0, "order where frame 0 is flat", low=0.0, high=2.0)
     alpha_edge: float = _param(1.3, "order where frame 0 is an edge", low=0.0, high=2.0)
     alpha_corner: float = _param(1.3, "order where frame 0 is a corner", low=0.0, high=2.0)
-    alpha_texture: float = _param(1.3, "order where frame 0 is textured", low=0.0, high=2.0)
+    alpha_texture: float = _param(1.2, "order where frame 0 is textured", low=0.0, high=2.0)
     lambda_gradient: float = _param(
         0.0, "data attachment weight of each derivative of the frames; 0: the frames alone", low=0.0
     )

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fracbench.errors import InputError
+from fracbench.evaluation.selection import leave_one_out
 from fracbench.harness.experiment import Experiment
 from fracbench.harness.plan import Plan
 from fracbench.harness.store import Row
@@ -112,16 +113,16 @@ def choice_table(table: pd.DataFrame) -> pd.DataFrame:
         for metric in ("aepe", "degrees")
     )
     columns = ["sequence", "setting", "AEPE", "AAE"]
-    if aepe.isna().any(axis=None):
+    choice = None if aepe.isna().any(axis=None) else leave_one_out(aepe)
+    if choice is None:
         return pd.DataFrame(
             [[name, "", math.nan, math.nan] for name in (*aepe, "left out", "all in")], columns=columns
         )
     records: list[list[Any]] = []
-    for sequence in aepe:
-        chosen = aepe.drop(columns=sequence).mean(axis=1).idxmin() if aepe.shape[1] > 1 else aepe.index[0]
-        records.append([sequence, chosen, aepe.loc[chosen, sequence], aae.loc[chosen, sequence]])
+    for sequence, row in zip(aepe, choice.left_out, strict=True):
+        records.append([sequence, aepe.index[row], aepe[sequence].iloc[row], aae[sequence].iloc[row]])
     means = [sum(record[i] for record in records) / len(records) for i in (2, 3)]
-    best = aepe.mean(axis=1).idxmin()
+    best = aepe.index[choice.all_in]
     records.append(["left out", "", *means])
     records.append(["all in", best, aepe.loc[best].mean(), aae.loc[best].mean()])
     return pd.DataFrame(records, columns=columns)

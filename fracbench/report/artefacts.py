@@ -15,6 +15,7 @@ from fracbench.harness.plan import Plan
 from fracbench.harness.store import Row
 from fracbench.report import paper, tables
 from fracbench.report.accurate_study import accurate_study
+from fracbench.report.adaptive_alpha import adaptive_alpha
 from fracbench.report.alpha_by_structure import alpha_by_structure
 from fracbench.report.alpha_regions import alpha_regions
 from fracbench.report.base import Artefact, Renderer, best_values, file_stem
@@ -158,6 +159,7 @@ def _is_logarithmic(values: pd.Series) -> bool:
 
 RENDERERS: dict[str, Renderer] = {
     "accurate_study": accurate_study,
+    "adaptive_alpha": adaptive_alpha,
     "alpha_by_structure": alpha_by_structure,
     "alpha_regions": alpha_regions,
     "convergence": convergence,

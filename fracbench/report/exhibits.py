@@ -70,10 +70,15 @@ def figures_of(sources: Sources, name: str) -> list[Block]:
     source = sources.get(name)
     if source is None:
         return []
-    found = figure_files(sources.results, source)
+    found = drawn(source, sources.results)
     if not found and not source.n_missing:
         return [Missing(f"the drawing of {name}", source.command)]
-    return [_figure(source, path, variant) for variant, path in found.items()]
+    return found
+
+
+def drawn(source: Source, results: Path) -> list[Block]:
+    """Return an experiment's figures as they were drawn last."""
+    return [_figure(source, path, variant) for variant, path in figure_files(results, source).items()]
 
 
 def figure_files(results: Path, source: Source) -> dict[str, Path]:
@@ -107,9 +112,15 @@ def figure_files(results: Path, source: Source) -> dict[str, Path]:
 _VARIANTS = {
     "context": "With pixels of image around each region and a reflecting boundary, which is not the paper's.",
     "protocols": "Under each protocol.",
+    "classes": "By class of pixels.",
+    "scenes": "The scenes, under the colours of their classes.",
+    "frames": "The first frames, under the colours of their classes.",
+    "orders": "The first frames, under the colours of their classes, and of the orders that the truth chose.",
 }
 _ALT = {
     "family": "curves of mean angular and mean end-point error against {x}, a line for each {family}",
+    "adaptive_alpha": "gains in end-point error by sequence, and by class of pixels the orders that are best",
+    "alpha_by_structure": "curves of the error relative to that at alpha 1, a panel a structure",
     "alpha_regions": "curves of mean angular and mean end-point error against alpha, two panels a region",
     "frames": "one frame of each of the eight sequences",
     "region_boxes": "frames of the sequences with the boxes of regions A and B drawn on them",

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from fracbench.harness.experiment import list_experiments
 from fracbench.report import background, claims, exhibits, pages
+from fracbench.report.beyond import beyond
 from fracbench.report.blocks import Section, render_page
 from fracbench.report.sources import RUNS, Sources
 from fracbench.report.tables import ensure_folder, write_text
@@ -79,6 +80,7 @@ def sections(sources: Sources, names: Sequence[str]) -> list[Section]:
         exhibits.figures(sources),
         exhibits.pictures(sources),
         pages.solver_study(sources),
+        beyond(sources),
         background.errata(),
         background.open_choices(),
         background.conventions(),

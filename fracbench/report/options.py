@@ -89,7 +89,20 @@ class AlphaByStructure:
     paper: Any = None  # checked where it is read
 
 
+@dataclass(frozen=True)
+class AdaptiveAlpha:
+    """Of ``adaptive_alpha``: the side of a neighbourhood in pixels, and the number of sequences in the picture."""
+
+    window: int = 32
+    shown: int = 3
+
+    def __post_init__(self) -> None:
+        if self.window < 1 or self.shown < 0:
+            raise InputError(f"option 'window' must be at least 1, 'shown' 0; got {self.window} and {self.shown}")
+
+
 _BY_ARTEFACT: dict[str, type] = {
+    "adaptive_alpha": AdaptiveAlpha,
     "alpha_by_structure": AlphaByStructure,
     "convergence": Convergence,
     "frames": Frames,

@@ -117,9 +117,9 @@ class Sources:
         self.results = results
         self.settings = tuple(settings)
         self.small = small
-        data = plan_experiment({}, self.settings, allow_download=False, small=small)
-        self.stand_in = data.stand_in
-        self.suffix = SUFFIXES[data.stand_in + 2 * data.small]
+        self._data = plan_experiment({}, self.settings, allow_download=False, small=small)
+        self.stand_in = self._data.stand_in
+        self.suffix = SUFFIXES[self._data.stand_in + 2 * self._data.small]
         self._plans = dict(plans or {})
         self._found: dict[str, Source | None] = {}
 
@@ -128,6 +128,12 @@ class Sources:
         if name not in self._found:
             self._found[name] = self._read(name) if name in list_experiments() else None
         return self._found[name]
+
+    def outline(self, name: str) -> Source | None:
+        """Return an experiment without points, for what is shown of its files; None if there is none."""
+        if name not in list_experiments():
+            return None
+        return Source(load_experiment(name), self._data, {}, self.command(name))
 
     def load(self, name: str) -> pd.DataFrame | None:
         """Return an experiment's tidy table, or None if nothing of it is stored."""

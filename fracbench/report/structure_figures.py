@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -99,8 +99,13 @@ def _draw_panel(ax: Axes, curves: pd.DataFrame, said: tuple[float, float] | None
 
 def class_overlay(frame: NDArray[np.float64]) -> NDArray[np.uint8]:
     """Return a gray frame, 0..255, under a veil in the colours of its classes: ndarray of uint8, (H, W, 3)."""
+    return veiled(frame, structure_classes(frame), [colour for _, colour in CLASS_COLOURS.values()])
+
+
+def veiled(frame: NDArray[Any], indices: NDArray[Any], colours: Sequence[Any]) -> NDArray[np.uint8]:
+    """Return a gray frame, 0..255, under a veil in the colours of its pixels' indices: (H, W, 3) of uint8."""
     from matplotlib.colors import to_rgb
 
-    palette = np.array([to_rgb(colour) for _, colour in CLASS_COLOURS.values()]) * 255.0
-    veiled = (1.0 - _VEIL) * np.clip(frame, 0.0, 255.0)[..., None] + _VEIL * palette[structure_classes(frame)]
-    return np.rint(veiled).astype(np.uint8)
+    palette = np.array([to_rgb(colour) for colour in colours]) * 255.0
+    mixed = (1.0 - _VEIL) * np.clip(frame, 0.0, 255.0)[..., None] + _VEIL * palette[indices]
+    return np.rint(mixed).astype(np.uint8)

@@ -184,7 +184,7 @@ def test_the_answer_comes_first(page):
     entries = [link["href"] for link in page.all("a") if link["href"].startswith("#")]
     assert entries == [
         "#main", "#verdicts", "#why", "#table2", "#figures", "#pictures", "#solvers",
-        "#errata", "#open", "#conventions", "#provenance",
+        "#beyond", "#errata", "#open", "#conventions", "#provenance",
     ]  # fmt: skip
 
 
