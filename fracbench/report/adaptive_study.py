@@ -255,9 +255,10 @@ def _reasons(means: pd.DataFrame, oracles: Oracles) -> list[str]:
     sentences = [sentence]
     if means.loc["run window", "gain"] < 0.0 < room:
         sentences.append(
-            "That an order is the best one about a pixel among the single flows does not make it the best order "
-            "there in a map: run as maps, the orders by neighbourhood err "
-            f"{_less(means.loc['run window', 'gain'])}, those by pixel {_less(means.loc['run pixel', 'gain'])}."
+            "Run as maps, the orders by neighbourhood err "
+            f"{_less(means.loc['run window', 'gain'])}, those by pixel {_less(means.loc['run pixel', 'gain'])}: the "
+            "order of the best single flow is not the best one in a map, or the map has not converged within the "
+            "iterations it was given."
         )
     told, guessed = predictability(oracles)
     spread = class_orders(oracles)
