@@ -256,9 +256,9 @@ def _reasons(means: pd.DataFrame, oracles: Oracles) -> list[str]:
     if means.loc["run window", "gain"] < 0.0 < room:
         window, pixel = (_less(means.loc[f"run {scope}", "gain"]) for scope in ("window", "pixel"))
         sentences.append(
-            f"Run as maps, the orders by neighbourhood err {window}, those by pixel {pixel}: the order of the best "
-            "single flow is not the best one in a map, or the map has not converged within the iterations it was "
-            "given."
+            f"Run as maps, the orders by neighbourhood err {window}, those by pixel {pixel}: the order of the "
+            "best single flow is not the best one in a map, or the map has not converged within the iterations it "
+            "was given."
         )
     told, guessed = predictability(oracles)
     spread = class_orders(oracles)
