@@ -21,11 +21,14 @@ if TYPE_CHECKING:
 
 #: Parts of the experiment: none of the ingredients, all of them, and the grid the preset is chosen from.
 PLAIN, ALL, CHOICE = "plain", "accurate", "choice"
+_CHANGES = {"/": "taken from", "+": "added to"}
 _LEGEND = (
-    f"`{PLAIN}` has none of the ingredients and `{PLAIN}/x` has x alone; `{ALL}` has all and `{ALL}/x` all but x. "
+    f"`{PLAIN}` has none of the ingredients and `{PLAIN}/x` has x alone; `{ALL}` is the preset, `{ALL}/x` has all "
+    f"but x, `{ALL}+x` has x on top. "
     "AEPE in pixels, AAE in degrees, `seconds` of computing as stored: each the mean over the sequences, then "
     "AEPE for each sequence."
 )
+_CHANGES = {"/": "taken from", "+": "added to"}
 _CHOICE_LEGEND = (
     "For each sequence the setting is chosen that has the least mean AEPE on the others, and is scored on it: its "
     "true flow had no part in the choice. `all in`: the setting with the least mean over all."
@@ -149,11 +152,14 @@ def ablation_sentences(ablation: pd.DataFrame) -> list[str]:
     aepe = ablation.set_index("part")["AEPE"]
     sentences = []
     for name in (part.partition("/")[2] for part in aepe.index if part.startswith(f"{PLAIN}/")):
-        added, taken = aepe[f"{PLAIN}/{name}"] / aepe[PLAIN], aepe.get(f"{ALL}/{name}", math.nan) / aepe[ALL]
-        if math.isfinite(added) and math.isfinite(taken):
+        part, change = next(
+            ((part, change) for part, change in _CHANGES.items() if f"{ALL}{part}{name}" in aepe), ("/", "")
+        )
+        alone, whole = aepe[f"{PLAIN}/{name}"] / aepe[PLAIN], aepe.get(f"{ALL}{part}{name}", math.nan) / aepe[ALL]
+        if math.isfinite(alone) and math.isfinite(whole):
             sentences.append(
-                f"{name}: added alone {100.0 * (added - 1.0):+.1f} % AEPE, "
-                f"taken from the whole {100.0 * (taken - 1.0):+.1f} %."
+                f"{name}: added alone {100.0 * (alone - 1.0):+.1f} % AEPE, "
+                f"{change} the whole {100.0 * (whole - 1.0):+.1f} %."
             )
     return sentences
 

@@ -37,7 +37,7 @@ def grid():
 
 @pytest.fixture
 def ablated():
-    factors = {"plain": 1.0, "plain/x": 0.8, "plain/y": 1.1, "accurate": 0.5, "accurate/x": 0.6, "accurate/y": 0.5}
+    factors = {"plain": 1.0, "plain/x": 0.8, "plain/y": 1.1, "accurate": 0.5, "accurate/x": 0.6, "accurate+y": 0.5}
     records = [
         {"part": part, "sequence": sequence, "aepe": factor * base, "aae": 0.1 * factor * base, "seconds": base}
         for part, factor in factors.items()
@@ -92,7 +92,7 @@ def test_the_ablation_holds_means_and_sequences(ablated):
     assert table.loc["accurate", "AAE"] == pytest.approx(math.degrees(0.1))
     assert ablation_sentences(table.reset_index()) == [
         "x: added alone -20.0 % AEPE, taken from the whole +20.0 %.",
-        "y: added alone +10.0 % AEPE, taken from the whole +0.0 %.",
+        "y: added alone +10.0 % AEPE, added to the whole +0.0 %.",
     ]
 
 
@@ -111,10 +111,11 @@ def study():
 
 def test_the_experiment_adds_and_takes_away_each_ingredient():
     grids = load_experiment("accurate").grids
-    added, taken = (
-        {p.partition("/")[2] for p in grids if p.startswith(f"{whole}/")} for whole in ("plain", "accurate")
+    alone, taken, more = (
+        {p.removeprefix(start) for p in grids if p.startswith(start)}
+        for start in ("plain/", "accurate/", "accurate+")
     )
-    assert added == taken and len(added) == 6
+    assert alone == taken | more and not taken & more and len(alone) == 6
     experiment = load_experiment("accurate")
     plan = plan_experiment(experiment.grids, ["dataset=synthetic"], allow_download=False)
     params: dict = {}
@@ -126,6 +127,8 @@ def test_the_experiment_adds_and_takes_away_each_ingredient():
 
     for name in taken:
         assert changed(f"plain/{name}", "plain") == changed(f"accurate/{name}", "accurate") != set()
+    for name in more:
+        assert changed(f"plain/{name}", "plain") == changed(f"accurate+{name}", "accurate") != set()
     ingredients = set.union(*(changed(f"plain/{name}", "plain") for name in taken))
     assert changed("accurate", "plain") == ingredients
 
