@@ -149,8 +149,8 @@ class FlowParams:
     )
     dtype: Literal["float32", "float64"] = _param("float32", "precision of the computation")
     alpha_flat: float = _param(1.0, "order where frame 0 is flat", low=0.0, high=2.0)
-    alpha_edge: float = _param(1.3, "order where frame 0 is an edge", low=0.0, high=2.0)
-    alpha_corner: float = _param(1.3, "order where frame 0 is a corner", low=0.0, high=2.0)
+    alpha_edge: float = _param(1.1, "order where frame 0 is an edge", low=0.0, high=2.0)
+    alpha_corner: float = _param(1.1, "order where frame 0 is a corner", low=0.0, high=2.0)
     alpha_texture: float = _param(1.2, "order where frame 0 is textured", low=0.0, high=2.0)
     lambda_gradient: float = _param(
         0.0, "data attachment weight of each derivative of the frames; 0: the frames alone", low=0.0
