@@ -11,6 +11,7 @@ import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,14 +87,22 @@ def load_oracle(points: Sequence[Point], window: int, folder: Path) -> dict[str,
     except FileNotFoundError:
         return None
     except (OSError, ValueError) as exc:
-        raise FracbenchError(f"{path}: cannot be read; delete it, and it is computed again") from exc
+        raise _unreadable(path) from exc
     return found
+
+
+def _unreadable(path: Path) -> FracbenchError:
+    return FracbenchError(f"{path}: cannot be read; delete the folder {path.parent}, and it is computed again")
 
 
 def load_maps(points: Sequence[Point], window: int, folder: Path) -> Mapping[str, Map]:
     """Return the classes of frame 0 (``classes``) and the orders by scope of an oracle that has been computed."""
-    with np.load(oracle_file(points, window, folder).with_suffix(".npz")) as maps:
-        return {name: maps[name] for name in ("classes", *SCOPES)}
+    path = oracle_file(points, window, folder).with_suffix(".npz")
+    try:
+        with np.load(path, allow_pickle=False) as maps:
+            return {name: maps[name] for name in ("classes", *SCOPES)}
+    except (OSError, ValueError, KeyError, BadZipFile) as exc:
+        raise _unreadable(path) from exc
 
 
 def compute_oracle(points: Sequence[Point], data: Path | None, flows: Path, window: int, folder: Path) -> None:

@@ -115,9 +115,10 @@ def test_other_points_or_another_window_are_another_oracle(sequence):
     assert load_oracle(points, 16, work / "oracles") is None
 
 
-def test_a_damaged_file_is_named(sequence):
+@pytest.mark.parametrize(("load", "suffix"), [(load_oracle, ".json"), (load_maps, ".npz")])
+def test_a_damaged_file_is_named(sequence, load, suffix):
     points, work = sequence
-    path = oracle_file(points, 16, work / "oracles")
+    path = oracle_file(points, 16, work / "oracles").with_suffix(suffix)
     path.write_text(json.dumps({"alphas": [1]})[:-1])
     with pytest.raises(FracbenchError, match=path.name):
-        load_oracle(points, 16, work / "oracles")
+        load(points, 16, work / "oracles")
