@@ -9,7 +9,7 @@ from fracbench.model._jit import jit
 from fracbench.model.arrays import Array
 from fracbench.model.params import FlowParams
 from fracbench.model.proximal import GRADIENT_IS_ZERO
-from fracbench.model.solver import Brightness
+from fracbench.model.solver import Brightness, MultiplierStep
 from fracbench.model.threads import share
 from fracbench.model.warping import Linearization, central_gradient
 
@@ -114,8 +114,8 @@ class ImageAndGradient:
         return self._linear
 
 
-class ChannelStep:
-    """The v-step of several channels with a multiplier, `MultiplierStep` for a data term that is a sum.
+class ChannelStep(MultiplierStep):
+    """The v-step of several channels with a multiplier: `MultiplierStep` for a data term that is a sum.
 
     Parameters
     ----------
@@ -126,27 +126,14 @@ class ChannelStep:
     """
 
     def __init__(self, like: Array, params: FlowParams) -> None:
-        self._c, self._target = np.zeros_like(like), np.zeros_like(like)
+        super().__init__(like, params)
         self._lambdas = np.array([params.lambda_, params.lambda_gradient, params.lambda_gradient], like.dtype)
         self._duals = np.zeros((len(self._lambdas), *like.shape[1:]), like.dtype)
-        self._params = params
-        self._fresh = True
-
-    def relinearised(self) -> None:
-        """Not relax towards the w of another residual."""
-        self._fresh = True
-
-    def restart(self) -> None:
-        """Set the multiplier to 0."""
-        self._c[...] = 0.0
 
     def target(self, u: Array, linear: Linearization) -> Array:
         """Return ``w - c``; see `fracbench.model.solver.VStep`."""
-        p = self._params
-        relaxation = 1.0 if self._fresh else p.relaxation
-        self._fresh = False
         data = u, *linear, self._lambdas
-        settings = p.theta, p.coupling_step, relaxation
+        settings = self._params.theta, self._params.coupling_step, self._relaxation()
         state = self._duals, self._c, self._target
         share(lambda a, b: coupled_thresholds(*data, *settings, *state, ROUNDS, a, b), u.shape[1])
         return self._target

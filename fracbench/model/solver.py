@@ -128,12 +128,15 @@ class MultiplierStep:
     def target(self, u: Array, linear: Linearization) -> Array:
         """Return ``w - c``; see `VStep`."""
         p = self._params
-        relaxation = 1.0 if self._fresh else p.relaxation
-        self._fresh = False
-        settings = p.lambda_, p.theta, p.coupling_step, relaxation
+        settings = p.lambda_, p.theta, p.coupling_step, self._relaxation()
         state = self._c, self._target
         share(lambda a, b: coupled_threshold(u, *linear, *settings, *state, a, b), u.shape[1])
         return self._target
+
+    def _relaxation(self) -> float:
+        """Return the over-relaxation of this iteration: none where the last w belongs to another residual."""
+        fresh, self._fresh = self._fresh, False
+        return 1.0 if fresh else self._params.relaxation
 
 
 class Residual(Protocol):
