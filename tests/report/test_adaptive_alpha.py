@@ -231,5 +231,5 @@ def test_a_damaged_bound_is_one_line(work, experiment):
     (work / "runs/oracles").mkdir(parents=True)
     points = next(iter(artefact._oracle_points(plan).values()))
     artefact.oracle_file(points, 32, work / "runs/oracles").write_text(json.dumps({})[:1])
-    with pytest.raises(FracbenchError, match="cannot be read; delete it"):
+    with pytest.raises(FracbenchError, match="cannot be read; delete the folder"):
         artefact.stored_oracles(experiment, plan, work)
