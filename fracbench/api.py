@@ -40,8 +40,8 @@ def estimate_flow(
     trace : bool, optional
         Record the energy E(u, v) after each iteration (slow).
     threads : int, optional
-        Threads of the solver and of BLAS; the flow does not depend on their number, but for the rounding of
-        BLAS under ``boundary="zero"``. The peers have threads of their own.
+        Threads of the solver; the flow does not depend on their number, but for the rounding of products of
+        matrices under ``boundary="zero"``. The peers have threads of their own.
     **params
         Parameters of `FlowParams`, e.g. ``alpha=1.2``, ``lambda_=0.5``.
 
@@ -69,5 +69,5 @@ def estimate_flow(
     settings = FlowParams().replace(chosen.defaults).replace(params)
     gray0, gray1 = to_gray(frame0, name="frame0"), to_gray(frame1, name="frame1")
     check_frames(gray0, gray1)
-    with use_threads(threads), threadpool_limits(threads):
+    with use_threads(threads), threadpool_limits(1):
         return chosen.estimate(gray0, gray1, settings, trace=trace)

@@ -58,7 +58,7 @@ def race(tokens: Sequence[str], *, repeats: int, threads: int, only: Sequence[st
     repeats : int
         Timed rounds.
     threads : int
-        Threads of the solver, of BLAS and of OpenCV.
+        Threads of the solver and of OpenCV; BLAS has one.
     only : sequence of str
         Contenders, by beginning of name; all if empty.
 

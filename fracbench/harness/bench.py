@@ -115,7 +115,7 @@ def run(
     repeats : int
         Timed rounds; the median counts. A round runs every contender once on every sequence.
     threads : int
-        Threads of the solver, of BLAS and of OpenCV.
+        Threads of the solver and of OpenCV; BLAS has one.
     on_lap : callable, optional
         Called after each timed estimate.
 
@@ -135,7 +135,7 @@ def run(
     seconds: dict[tuple[str, str], list[float]] = {}
     records: dict[tuple[str, str], dict[str, Any]] = {}
     peers.opencv_threads = threads
-    with use_threads(threads), threadpool_limits(threads):
+    with use_threads(threads), threadpool_limits(1):
         for round_number in range(repeats + 1):  # round 0 warms up: compilation, caches
             for planned in plan.points:
                 frame0, frame1, truth, inner = point_arrays(planned.point, plan.folder)
