@@ -90,25 +90,22 @@ class LeftDerivative:
 
     def apply(self, u: Array, axis: int, out: Array) -> None:
         """Write ``sum_k w_k u(j - k)`` along `axis` of `u` (0: y, 1: x); without padding `out` is C-contiguous."""
-        if self._band is not None:
-            _weigh_before(u, self._band, axis, out)
-        elif self._triangle:
-            self._in_place(u, axis, False, out)
-        elif axis == 1:
-            np.matmul(u, self._back, out=out)
-        else:
-            np.matmul(self._matrix, u, out=out)
+        self._times(u, axis, False, out)
 
     def adjoint(self, d: Array, axis: int, out: Array) -> None:
         """Write the right derivative, ``sum_k w_k d(j + k)``, along `axis` of `d`; `out` as for `apply`."""
+        self._times(d, axis, True, out)
+
+    def _times(self, x: Array, axis: int, transposed: bool, out: Array) -> None:
+        matrix, back = (self._back, self._matrix) if transposed else (self._matrix, self._back)
         if self._band is not None:
-            _weigh_after(d, self._band, axis, out)
+            (_weigh_after if transposed else _weigh_before)(x, self._band, axis, out)
         elif self._triangle:
-            self._in_place(d, axis, True, out)
+            self._in_place(x, axis, transposed, out)
         elif axis == 1:
-            np.matmul(d, self._matrix, out=out)
+            np.matmul(x, back, out=out)
         else:
-            np.matmul(self._back, d, out=out)
+            np.matmul(matrix, x, out=out)
 
     def _in_place(self, x: Array, axis: int, transposed: bool, out: Array) -> None:
         out[...] = x

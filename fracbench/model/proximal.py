@@ -1,4 +1,4 @@
-"""Pointwise steps: the thresholding operator TH (v-step) and the shrinkage (d- and b-step)."""
+"""Pointwise steps: thresholding TH (v-step), shrinkage (d- and b-step), and the u-step in its basis."""
 
 from __future__ import annotations
 
