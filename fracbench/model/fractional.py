@@ -169,7 +169,6 @@ class ZeroGradient(GradientOperator):
         self._lx, qx = _eigenbasis(self.alpha, width, pad)
         self._qy, self._qx = qy.astype(self.dtype), qx.astype(self.dtype)
         self._qx_back = np.ascontiguousarray(self._qx.T)
-        self._work = np.empty((2, height, width), self.dtype)
 
     def apply(self, u: Array) -> Array:
         d = np.empty(self.range_shape, self.dtype)
@@ -184,7 +183,7 @@ class ZeroGradient(GradientOperator):
         self._dy.apply(u, 0, d[0, 1, :, :width])
 
     def adjoint(self, d: Array) -> Array:
-        x, y = np.empty_like(self._work)
+        x, y = np.empty((2, *self.shape), self.dtype)
         self._adjoint(d, x, y)
         return x
 
@@ -204,20 +203,19 @@ class ZeroGradient(GradientOperator):
     def solve(
         self, v: Array, w: Array, theta: float, mu: float, system: tuple[Float64Array, Float64Array], u: Array
     ) -> None:
-        real = self.dtype.type
-        x, y = self._work
-        # The formula, with nothing allocated.
-        self._adjoint(w, x, y)
-        x *= real(mu)
-        np.multiply(v, real(1.0 / theta), out=y)
-        x += y
+        height, width = self.shape
+        y = w[0, 0, :height, :width]  # free once its adjoint is taken
+        self._adjoint(w, u, y)
+        u *= self.dtype.type(mu)
+        np.multiply(v, self.dtype.type(1.0 / theta), out=y)
+        u += y
         if self.alpha == 0.0:  # the operator is the identity, in any basis
-            divide_by_sum(x, *system, u)
+            divide_by_sum(u, *system, u)
         else:
-            _product(self._qy.T, x, y)
-            _product(y, self._qx, x)
-            divide_by_sum(x, *system, x)
-            _product(self._qy, x, y)
+            _product(self._qy.T, u, y)
+            _product(y, self._qx, u)
+            divide_by_sum(u, *system, u)
+            _product(self._qy, u, y)
             _product(y, self._qx_back, u)
         self.differentiate(u, w)
 

@@ -21,7 +21,7 @@ from fracbench.model.linear import (
 )
 from fracbench.model.proximal import bregman_update, mean_squared_change, shrink_difference
 from fracbench.model.reflected import NaturalGradient
-from fracbench.model.threads import share
+from fracbench.model.threads import count, share
 
 
 class Regularizer(Protocol):
@@ -71,9 +71,13 @@ class TVDual:
 
     def step(self, v: Array, u: Array, out: Array) -> int:
         """Write ``v + theta div p`` to `out` and move p along its gradient; see `Regularizer.step`."""
-        for component in range(2):
-            dual_primal(v[component], self._p[component], self._theta, out[component])
-            dual_ascent(out[component], self._step, self._p[component])
+
+        def take(start: int, stop: int) -> None:
+            for component in range(start, stop):
+                dual_primal(v[component], self._p[component], self._theta, out[component])
+                dual_ascent(out[component], self._step, self._p[component])
+
+        share(take, 2, least=1)
         return 1
 
 
@@ -175,7 +179,7 @@ class SplitBregman:
         self._relaxation = relaxation if u_solver == "exact" and not self._cold else 1.0
         self._tol, self._max_inner = tol, max_inner
         self._z = np.zeros((2, *operator.range_shape), operator.dtype)
-        self._w = np.zeros(operator.range_shape, operator.dtype)  # by turns d - b and D u
+        self._w = [np.zeros(operator.range_shape, operator.dtype)]  # by turns d - b and D u
         self._started = [False, False]
         self._fused = u_solver == "gauss_seidel" and isinstance(operator, NaturalGradient)
         if u_solver == "exact":
@@ -190,12 +194,23 @@ class SplitBregman:
 
     def step(self, v: Array, u: Array, out: Array) -> int:
         """Take one warm step, or iterate from a cold start; see `Regularizer.step`."""
+        if count() > 1 and len(self._w) == 1:  # both components at once
+            self._w.append(np.zeros_like(self._w[0]))
+        inner = [0, 0]
+
+        def take(start: int, stop: int) -> None:
+            for component in range(start, stop):
+                inner[component] = self._take_component(component, v[component], u[component], out[component])
+
+        share(take, 2, least=1)
+        return sum(inner) if self._cold else 1
+
+    def _take_component(self, component: int, v: Array, u: Array, out: Array) -> int:
         if self._cold:
-            return sum(self._iterate(component, v[component], out[component]) for component in range(2))
-        for component in range(2):
-            if self._solver != "exact" or not self._started[component]:
-                out[component] = u[component]
-            self.bregman_step(component, v[component], out[component], warm=True)
+            return self._iterate(component, v, out)
+        if self._solver != "exact" or not self._started[component]:
+            out[...] = u
+        self.bregman_step(component, v, out, warm=True)
         return 1
 
     def _iterate(self, component: int, v: Array, out: Array) -> int:
@@ -223,22 +238,23 @@ class SplitBregman:
         warm : bool, optional
             Let the first step start from d = D u instead of smoothing u away, and relax the others.
         """
-        z, w, gamma, relaxation = self._z[component], self._w, self._threshold, self._relaxation
+        z, w = self._z[component], self._w[component % len(self._w)]
+        gamma, relaxation = self._threshold, self._relaxation
         if warm and not self._started[component]:
             self._started[component] = True
             self.operator.differentiate(u, w)  # d - b for d = D u, b = 0, a state that no z stands for
             np.multiply(w, w.dtype.type(1.0 - relaxation), out=z)
-            self._u_step(v, u)
+            self._u_step(v, w, u)
             w *= w.dtype.type(relaxation)
             z += w
             return
         share(lambda a, b: shrink_difference(z, gamma, w, a, b), w.shape[2])
-        self._u_step(v, u)
+        self._u_step(v, w, u)
         share(lambda a, b: bregman_update(w, gamma, relaxation, z, a, b), w.shape[2])
 
-    def _u_step(self, v: Array, u: Array) -> None:
-        """Replace d - b in w by the derivatives of the next u."""
-        operator, w = self.operator, self._w
+    def _u_step(self, v: Array, w: Array, u: Array) -> None:
+        """Replace d - b in `w` by the derivatives of the next u."""
+        operator = self.operator
         if self._solver == "exact":
             operator.solve(v, w, self._theta, self._mu, self._system, u)
             return

@@ -1,4 +1,4 @@
-"""Threads that share the lines of one image; the results do not depend on their number."""
+"""Threads that share the work on one image; the results do not depend on their number."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
-from functools import lru_cache
 from itertools import pairwise
 
 from fracbench.errors import InputError
@@ -16,6 +15,7 @@ from fracbench.model.transforms import LINES
 LEAST_LINES = 64
 
 _threads: ContextVar[int] = ContextVar("threads", default=1)
+_pool: ContextVar[ThreadPoolExecutor] = ContextVar("pool")
 
 
 @contextmanager
@@ -34,20 +34,29 @@ def use_threads(number: int) -> Iterator[None]:
     """
     if number < 1:
         raise InputError(f"`threads` must be at least 1, got {number}")
-    token = _threads.set(number)
+    with ThreadPoolExecutor(number, "fracbench") as pool, _team(pool, number):
+        yield
+
+
+@contextmanager
+def _team(pool: ThreadPoolExecutor, number: int) -> Iterator[None]:
+    tokens = _pool.set(pool), _threads.set(number)
     try:
         yield
     finally:
-        _threads.reset(token)
+        _pool.reset(tokens[0])
+        _threads.reset(tokens[1])
 
 
-@lru_cache(maxsize=1)
-def _pool(workers: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(workers, "fracbench")
+def count() -> int:
+    """Return the number of threads that the next `share` may use."""
+    return _threads.get()
 
 
 def share(work: Callable[[int, int], object], lines: int, least: int = LEAST_LINES) -> None:
     """Call ``work(start, stop)`` for ranges that make up ``0..lines-1``, at the same time.
+
+    Within a range `work` may share on, among the threads that are left to it.
 
     Parameters
     ----------
@@ -58,13 +67,19 @@ def share(work: Callable[[int, int], object], lines: int, least: int = LEAST_LIN
     least : int, optional
         Smallest range worth a thread of its own.
     """
-    parts = min(_threads.get(), max(1, lines // least))
+    parts = min(count(), max(1, lines // least))
     if parts == 1:
         work(0, lines)
         return
+    pool, inner = _pool.get(), count() // parts
     grain = LINES if least >= LINES else 1
     cuts = [grain * (lines * part // (parts * grain)) for part in range(parts)] + [lines]
-    others = [_pool(parts - 1).submit(work, a, b) for a, b in pairwise(cuts[1:])]
-    work(cuts[0], cuts[1])
+
+    def take(start: int, stop: int) -> None:
+        with _team(pool, inner):
+            work(start, stop)
+
+    others = [pool.submit(take, a, b) for a, b in pairwise(cuts[1:])]
+    take(cuts[0], cuts[1])
     for other in others:
         other.result()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -101,13 +100,14 @@ def test_the_usual_circumstances_are_those_of_the_check():
 
 
 def test_threads_reach_the_solver(monkeypatch):
-    from fracbench.model import threads
+    from fracbench.model import regularizers
+    from fracbench.model.threads import count, share
 
     seen = []
-    monkeypatch.setattr(threads, "_pool", lambda workers: seen.append(workers) or ThreadPoolExecutor(workers))
-    plan = make_plan(["sequence=synthetic_flat", "n_scales=1", "n_warps=1", "max_iter=1", "boundary=reflect"])
+    monkeypatch.setattr(regularizers, "share", lambda *args, **kw: seen.append(count()) or share(*args, **kw))
+    plan = make_plan(["sequence=synthetic_flat", "n_scales=1", "n_warps=1", "max_iter=2", "boundary=reflect"])
     results_of(plan, 2, "")
-    assert set(seen) == {1}
+    assert set(seen) == {1, 2}  # both components at once, each alone
 
 
 def test_a_process_takes_on_its_circumstance(monkeypatch):

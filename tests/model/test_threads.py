@@ -10,7 +10,7 @@ from numba import config
 
 from fracbench import estimate_flow
 from fracbench.errors import InputError
-from fracbench.model.threads import share, use_threads
+from fracbench.model.threads import count, share, use_threads
 from fracbench.model.transforms import LINES
 
 
@@ -38,6 +38,26 @@ def test_ranges_run_at_the_same_time():
         share(lambda a, b: meeting.wait(), 2, least=1)
 
 
+@pytest.mark.parametrize("threads", [1, 2, 3, 4, 7])
+def test_a_range_shares_on_among_the_threads_left_to_it(threads):
+    taken, at_once = np.zeros((2, 6), int), []
+
+    def component(start, stop):
+        for c in range(start, stop):
+            at_once.append(count())
+
+            def lines(a, b, c=c):
+                taken[c, a:b] += 1
+
+            share(lines, 6, least=1)
+
+    with use_threads(threads):
+        share(component, 2, least=1)
+        assert count() == threads
+    np.testing.assert_array_equal(taken, 1)
+    assert at_once == [max(1, threads // 2)] * 2
+
+
 def test_an_error_in_any_thread_is_raised():
     def work(start, stop):
         if start:
@@ -48,7 +68,10 @@ def test_an_error_in_any_thread_is_raised():
 
 
 @pytest.mark.skipif(config.DISABLE_JIT, reason="takes minutes without compilation")
-@pytest.mark.parametrize(("method", "boundary"), [("tvl1_sb_alpha", "reflect"), ("tvl1_sb", None), ("tvl1", None)])
+@pytest.mark.parametrize(
+    ("method", "boundary"),
+    [("tvl1_sb_alpha", "reflect"), ("tvl1_sb_alpha", "zero"), ("tvl1_sb", None), ("tvl1", None)],
+)
 def test_the_flow_does_not_depend_on_the_number_of_threads(method, boundary):
     rng = np.random.default_rng(2)
     frame0 = rng.uniform(0, 255, (150, 210))
@@ -56,10 +79,10 @@ def test_the_flow_does_not_depend_on_the_number_of_threads(method, boundary):
     settings = {} if boundary is None else {"boundary": boundary, "alpha": 1.3}
     flows = [
         estimate_flow(frame0, frame1, method=method, threads=n, n_warps=2, max_iter=4, **settings).flow
-        for n in (1, 2, 3)
+        for n in (1, 2, 3, 4)
     ]
-    np.testing.assert_array_equal(flows[1], flows[0])
-    np.testing.assert_array_equal(flows[2], flows[0])
+    for other in flows[1:]:
+        np.testing.assert_array_equal(other, flows[0])
 
 
 @pytest.mark.parametrize("threads", [0, -1])
