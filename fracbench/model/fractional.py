@@ -210,11 +210,11 @@ class ZeroGradient(GradientOperator):
         np.multiply(v, self.dtype.type(1.0 / theta), out=y)
         u += y
         if self.alpha == 0.0:  # the operator is the identity, in any basis
-            divide_by_sum(u, *system, u)
+            divide_by_sum(u, *system)
         else:
             _product(self._qy.T, u, y)
             _product(y, self._qx, u)
-            divide_by_sum(u, *system, u)
+            divide_by_sum(u, *system)
             _product(self._qy, u, y)
             _product(y, self._qx_back, u)
         self.differentiate(u, w)

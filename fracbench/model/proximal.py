@@ -212,23 +212,21 @@ def bregman_update(du: Array, threshold: Any, relaxation: float, z: Array, start
 
 
 @jit
-def divide_by_sum(x: Array, along_y: Array, along_x: Array, out: Array) -> None:
-    """Write ``x / (along_y(i) + along_x(j))``: the u-step in the basis of the gradient.
+def divide_by_sum(x: Array, along_y: Array, along_x: Array) -> None:
+    """Replace `x` by ``x / (along_y(i) + along_x(j))``: the u-step in the basis of the gradient.
 
     Parameters
     ----------
     x : ndarray, shape (H, W)
-        Coefficients of the right-hand side.
+        Coefficients of the right-hand side, overwritten by those of u.
     along_y, along_x : ndarray, shapes (H,) and (W,), float64
         From `system_diagonals`.
-    out : ndarray, shape (H, W)
-        Coefficients of u; may be `x`.
     """
     height, width = x.shape
     real = x.dtype.type
     for i in range(height):
         for j in range(width):
-            out[i, j] = x[i, j] * real(1.0 / (along_y[i] + along_x[j]))
+            x[i, j] *= real(1.0 / (along_y[i] + along_x[j]))
 
 
 @jit

@@ -204,7 +204,7 @@ class NaturalGradient(CosineGradient):
         plan_y, plan_x, one_y, one_x = self._plan_y, self._plan_x, self._one_y, self._one_x
         share(lambda a, b: cosine(u, 1, a, b, one_x, plan_x, u), height)
         share(lambda a, b: cosine(u, 0, a, b, one_y, plan_y, u), width)
-        divide_by_sum(u, *system, u)
+        divide_by_sum(u, *system)
         share(lambda a, b: cosine_back(u, 0, a, b, one_y, plan_y, u), width)
         share(lambda a, b: cosine_back(u, 1, a, b, one_x, plan_x, u), height)
         self.differentiate(u, w)
