@@ -20,6 +20,8 @@ from fracbench.model import SOLVER_VERSION
 
 #: Keys that cannot be swept.
 _FOR_ALL = ("dataset", "paths.data", "paths.results", "parallel", *PARALLEL)
+#: Parameters younger than stored results, with the values that leave these as they are: no part of a key.
+_YOUNGER = {"texture": "0", "occlusion": "median"}
 
 
 @dataclass(frozen=True)
@@ -61,13 +63,13 @@ class Point:
 
     @property
     def spec(self) -> dict[str, Any]:
-        """The canonical form, without the data's content; noise, seed and score only where they are not usual."""
+        """The canonical form, without the data's content; noise, seed, score and `_YOUNGER` only where unusual."""
         usual = {"noise": "0", "seed": 0, "score": "frame"}
         unusual = {name: getattr(self, name) for name in usual if getattr(self, name) != usual[name]}
         return {
             **unusual,
             "method": self.method,
-            "params": dict(self.params),
+            "params": {name: value for name, value in self.params.items() if _YOUNGER.get(name) != value},
             "dataset": self.dataset,
             "sequence": self.sequence,
             "box": None if self.box is None else list(self.box),

@@ -11,7 +11,7 @@ from fracbench.evaluation.structure import CLASSES, structure_classes
 from fracbench.methods.variational import split_bregman, v_step
 from fracbench.model import beyond, pyramid
 from fracbench.model.arrays import Array
-from fracbench.model.estimator import FlowResult, coarse_to_fine
+from fracbench.model.estimator import FlowResult, check_frames, coarse_to_fine
 from fracbench.model.mapped import MappedGradient
 from fracbench.model.params import FlowParams
 from fracbench.model.regularizers import Regularizer
@@ -25,9 +25,11 @@ def tvl1_sb_alpha_map(frame0: Array, frame1: Array, params: FlowParams, *, trace
     """
     if trace and params.lambda_gradient:
         raise InputError("`trace` needs lambda_gradient=0: the energy that it records is the paper's")
+    check_frames(frame0, frame1)
+    data = beyond.data(frame0, frame1, params)
     return coarse_to_fine(
         frame0, frame1, params, _by_class, _v_step,
-        make_residual=beyond.residual, make_refiner=beyond.refiner, method="tvl1_sb_alpha_map", trace=trace,
+        make_residual=data, make_refiner=beyond.refiner, method="tvl1_sb_alpha_map", trace=trace,
     )  # fmt: skip
 
 

@@ -17,7 +17,7 @@ from fracbench.model.params import FlowParams
 # What the paper does not have: of no concern to its methods, nor to the keys of their results.
 _BEYOND = frozenset({
     "alpha_flat", "alpha_edge", "alpha_corner", "alpha_texture", "lambda_gradient", "derivatives", "edge_decay",
-    "edge_power", "median_radius", "weighted_radius"
+    "edge_power", "median_radius", "weighted_radius", "texture", "occlusion"
 })  # fmt: skip
 _PYRAMID = frozenset(FlowParams.names()) - _BEYOND - {
     "alpha", "boundary", "pad", "tau", "lambda_sb", "u_solver", "inner", "tol", "max_inner", "coupling",

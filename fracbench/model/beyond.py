@@ -1,4 +1,4 @@
-"""What goes beyond the paper at each scale: edge weights, gradient constancy, filters of the flow after each warp.
+"""What goes beyond the paper at each scale: edge weights, other data, filters of the flow after each warp.
 
 Every part is off at its parameter's default, and then the numbers are those of the plain method, bit by bit.
 """
@@ -10,12 +10,14 @@ from collections.abc import Callable
 import numpy as np
 
 from fracbench.errors import InputError
-from fracbench.model import median
+from fracbench.model import median, pyramid
 from fracbench.model.arrays import Array
 from fracbench.model.channels import ChannelStep, ImageAndGradient, TwoSided
 from fracbench.model.params import FlowParams
 from fracbench.model.solver import Brightness, Residual, VStep
+from fracbench.model.texture import textures
 from fracbench.model.threads import share
+from fracbench.model.warping import Linearization
 
 
 def edge_weights(image: Array, decay: float, power: float) -> Array:
@@ -40,11 +42,36 @@ def edge_weights(image: Array, decay: float, power: float) -> Array:
     return weights / weights.mean(dtype=np.float64).astype(image.dtype)
 
 
-def residual(frame0: Array, frame1: Array, params: FlowParams) -> Residual:
-    """Return the data of a scale that `params` ask for."""
-    if params.lambda_gradient:
-        return ImageAndGradient(frame0, frame1, params)
-    return (TwoSided if params.derivatives == "both" else Brightness)(frame0, frame1, params)
+def data(frame0: Array, frame1: Array, params: FlowParams) -> Callable[[Array, Array, FlowParams], Residual]:
+    """Return what gives the data of each scale that `params` ask for, from both frames there.
+
+    Textures are taken at full resolution and follow the frames down the pyramid (Wedel et al. 2009): a coarse
+    scale's own would lack what long motions are found by.
+
+    Parameters
+    ----------
+    frame0, frame1 : ndarray, shape (H, W)
+        The frames as they came; what is seen in both is told by them, not by their textures.
+    params : FlowParams
+        Parameters.
+    """
+    if not params.texture:
+        return residual
+    pair = textures(*pyramid.stretch(frame0, frame1, np.dtype(params.dtype)), params.texture)
+    shapes = pyramid.scale_shapes(frame0.shape, params.eta, params.n_scales)
+    scales = [pyramid.build(pyramid.smooth(t, params.presmoothing), shapes, params.eta) for t in pair]
+    by_shape = dict(zip(shapes, zip(*scales, strict=True), strict=True))
+    return lambda frame0, frame1, params: residual(frame0, frame1, params, by_shape[frame0.shape])
+
+
+def residual(
+    frame0: Array, frame1: Array, params: FlowParams, images: tuple[Array, Array] | None = None
+) -> Residual:
+    """Return the data of a scale that `params` ask for: of the frames, or of `images` in their place."""
+    plain = TwoSided if params.derivatives == "both" else Brightness
+    kind = ImageAndGradient if params.lambda_gradient else plain
+    found: Residual = kind(*(images or (frame0, frame1)), params)
+    return SeenInBoth(found, Visibility(frame0, frame1, params)) if params.occlusion == "both" else found
 
 
 def channel_step(like: Array, params: FlowParams) -> VStep | None:
@@ -68,6 +95,54 @@ def refiner(frame0: Array, frame1: Array, params: FlowParams) -> Callable[[Array
     return FlowFilter(frame0, frame1, params) if wanted else None
 
 
+class Visibility:
+    """How likely each pixel of a scale is seen in both frames; see `fracbench.model.median.visibility`.
+
+    Parameters
+    ----------
+    frame0, frame1 : ndarray, shape (H, W)
+        The frames at the scale.
+    params : FlowParams
+        Factor on the image gradient.
+    """
+
+    def __init__(self, frame0: Array, frame1: Array, params: FlowParams) -> None:
+        self._data = Brightness(frame0, frame1, params)
+
+    def of(self, flow: Array) -> Array:
+        """Return weights in (0, 1], shape (H, W), by a flow (2, H, W)."""
+        linear = self._data.at(flow)
+        difference = linear.rho_c + (linear.gradient * flow).sum(axis=0)
+        return median.visibility(flow, difference)
+
+
+class SeenInBoth:
+    """Data that count as much as they are seen in both frames: lambda times visibility, at each pixel.
+
+    ``lambda |w rho|`` is the term, so that the v-steps know nothing of w. Where there is no flow yet, on the
+    coarsest scale, all is taken to be seen: what moves differs between the frames and would be silenced.
+
+    Parameters
+    ----------
+    data : Residual
+        The data.
+    visibility : Visibility
+        Of the scale.
+    """
+
+    def __init__(self, data: Residual, visibility: Visibility) -> None:
+        self._data, self._visibility = data, visibility
+
+    def at(self, u0: Array) -> Linearization:
+        """Weigh the residual and its gradient by visibility at `u0`; see `fracbench.model.solver.Residual`."""
+        linear = self._data.at(u0)
+        if u0.any():
+            weights = self._visibility.of(u0)
+            linear.rho_c[...] *= weights
+            linear.gradient[...] *= weights
+        return linear
+
+
 class FlowFilter:
     """The median filters of `fracbench.model.median`, one after the other, for the flow of a scale.
 
@@ -76,12 +151,12 @@ class FlowFilter:
     frame0, frame1 : ndarray, shape (H, W)
         The frames at the scale.
     params : FlowParams
-        Radii of the windows, 0 for none.
+        Radii of the windows, 0 for none, and whether neighbours that are hidden count less.
     """
 
     def __init__(self, frame0: Array, frame1: Array, params: FlowParams) -> None:
         self._guide = frame0
-        self._data = Brightness(frame0, frame1, params)
+        self._visibility = Visibility(frame0, frame1, params) if params.occlusion != "none" else None
         self._radius, self._weighted = params.median_radius, params.weighted_radius
 
     def __call__(self, flow: Array) -> Array:
@@ -89,9 +164,7 @@ class FlowFilter:
         plain = median.median(flow, 2 * self._radius + 1)
         if not self._weighted:
             return plain
-        linear = self._data.at(flow)
-        difference = linear.rho_c + (linear.gradient * flow).sum(axis=0)
-        trust = median.visibility(flow, difference)
+        trust = np.ones_like(flow[0]) if self._visibility is None else self._visibility.of(flow)
         near = median.motion_edges(plain)
         arrays = flow, self._guide, trust, near, self._weighted, plain
         share(lambda a, b: median.weighted_median(*arrays, a, b), len(near))

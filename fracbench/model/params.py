@@ -168,6 +168,12 @@ class FlowParams:
     weighted_radius: int = _param(
         0, "radius of the weighted median near motion edges after each warp, pixels; 0: none", low=0, high=20
     )
+    texture: float = _param(
+        0.0, "share of the frames' structure that the data term does without; 0: none", low=0.0, high=1.0
+    )
+    occlusion: Literal["median", "none", "both"] = _param(
+        "median", "what counts less where it is hidden in a frame: neighbours in the weighted median, or data too"
+    )
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:

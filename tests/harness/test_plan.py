@@ -180,7 +180,7 @@ OTHER = {
     "epsilon_squared": "false", "dtype": "float64", "coupling": "penalty", "coupling_step": "2",
     "relaxation": "1.1", "alpha_flat": "0.9", "alpha_edge": "0.9", "alpha_corner": "0.9", "alpha_texture": "0.9",
     "lambda_gradient": "1", "derivatives": "both", "edge_decay": "0.1", "edge_power": "1", "median_radius": "1",
-    "weighted_radius": "2",
+    "weighted_radius": "2", "texture": "0.95", "occlusion": "none",
 }  # fmt: skip
 
 
@@ -193,6 +193,18 @@ def test_every_parameter_is_varied_here():
 def test_a_key_changes_with_a_parameter_exactly_if_the_method_uses_it(method, name):
     base = [FLAT, f"method={method}"]
     assert (key(*base) != key(*base, f"{name}={OTHER[name]}")) == (name in get_method(method).uses)
+
+
+def test_what_came_later_is_in_no_key_where_it_is_off():
+    """Keys of results that were stored before there was such a parameter stay as they were."""
+    usual = FlowParams().as_dict()
+    (planned,) = plan(FLAT, "method=tvl1_sb_alpha_map").points
+    for name, value in plan_module._YOUNGER.items():
+        assert canonical_value(usual[name]) == planned.point.params[name] == value
+    older = get_method("tvl1_sb_alpha_map").uses - {"texture", "occlusion"}
+    assert set(planned.point.spec["params"]) == older
+    (both,) = plan(FLAT, "method=tvl1_sb_alpha_map", "texture=0.95", "occlusion=both").points
+    assert set(both.point.spec["params"]) == older | {"texture", "occlusion"}
 
 
 def test_a_key_changes_with_whatever_else_matters(middlebury_found):

@@ -50,6 +50,8 @@ VARIATIONS = {
     "edge_power": ({"edge_decay": 0.3}, 0.5, 1.0),
     "median_radius": ({}, 0, 1),
     "weighted_radius": ({"gradient_scale": 0.1}, 0, 2),  # a flow too long has edges
+    "texture": ({}, 0.0, 0.5),
+    "occlusion": ({}, "median", "both"),
 }
 SMALL = {"n_warps": 3, "max_iter": 10, "epsilon": 1e-3, "max_inner": 8}
 

@@ -8,11 +8,12 @@ import reference_impl as ref
 
 from fracbench.errors import InputError
 from fracbench.methods.registry import get_method
-from fracbench.model import beyond
+from fracbench.model import beyond, pyramid
 from fracbench.model.channels import ChannelStep, ImageAndGradient, TwoSided
-from fracbench.model.median import median
+from fracbench.model.median import median, visibility
 from fracbench.model.params import FlowParams
-from fracbench.model.solver import Brightness
+from fracbench.model.solver import Brightness, MultiplierStep
+from fracbench.model.texture import textures
 
 SHORT = {"n_warps": 2, "max_iter": 5, "eta": 0.6, "dtype": "float64"}
 #: Every ingredient, at a size that acts on small frames.
@@ -23,6 +24,8 @@ EVERYTHING = {
     "edge_decay": 0.2,
     "median_radius": 1,
     "weighted_radius": 2,
+    "texture": 0.9,
+    "occlusion": "both",
 }
 
 
@@ -65,10 +68,17 @@ def test_what_is_off_is_not_there(frames):
     assert type(beyond.residual(*frames, params)) is Brightness
     assert beyond.channel_step(np.zeros((2, 26, 31)), params) is None
     assert beyond.refiner(*frames, params) is None
+    assert beyond.data(*frames, params) is beyond.residual
 
 
 @pytest.mark.parametrize(
-    "values", [{}, {"edge_power": 2.0}, {"median_radius": 0, "weighted_radius": 0, "edge_decay": 0.0}]
+    "values",
+    [
+        {},
+        {"edge_power": 2.0},
+        {"median_radius": 0, "weighted_radius": 0, "edge_decay": 0.0},
+        {"texture": 0.0, "occlusion": "none"},  # no weighted median whose neighbours could count less
+    ],
 )
 def test_with_everything_off_the_flow_is_that_of_one_order(frames, values):
     plain = flow(frames, "tvl1_sb_alpha", alpha=1.2)
@@ -108,9 +118,7 @@ def test_the_weighted_filter_leaves_smooth_flow_to_the_plain_one(frames):
     np.testing.assert_array_equal(refine(step)[..., :8], median(step, 3)[..., :8])
 
 
-@pytest.mark.parametrize(
-    "name", ["lambda_gradient", "derivatives", "edge_decay", "median_radius", "weighted_radius"]
-)
+@pytest.mark.parametrize("name", [name for name in EVERYTHING if name != "lambda"])
 def test_each_ingredient_changes_the_flow(frames, name):
     steps = frames[0], np.where(np.arange(31) < 15, frames[1], frames[0])
     plain = flow(steps)
@@ -136,7 +144,7 @@ def test_transposing_the_frames_transposes_the_flow(frames, gradients, monkeypat
 def test_turning_the_frames_round_turns_the_flow(frames):
     """By half a turn, at one scale and on an even margin; see the same test of the method itself."""
     framed = [np.pad(frame, 8, constant_values=100.0) for frame in frames]
-    values = {**EVERYTHING, "n_scales": 1}
+    values = {**EVERYTHING, "n_scales": 1, "texture": 0.0}  # whose differences are forward ones
     there = flow([frame[::-1, ::-1].copy() for frame in framed], **values)
     np.testing.assert_allclose(there, -flow(framed, **values)[:, ::-1, ::-1], atol=1e-6)
 
@@ -151,11 +159,103 @@ def test_turning_the_frames_round_turns_the_flow(frames):
         ({"median_radius": 11}, r"`median_radius` must be in \[0, 10\]"),
         ({"median_radius": 1.5}, "`median_radius` must be a whole number"),
         ({"weighted_radius": -1}, r"`weighted_radius` must be in \[0, 20\]"),
+        ({"texture": 1.1}, r"`texture` must be in \[0, 1\], got 1.1"),
+        ({"occlusion": "bth"}, "unknown value of `occlusion` 'bth': did you mean 'both'"),
     ],
 )
 def test_bad_values_are_refused(values, message):
     with pytest.raises(InputError, match=message):
         FlowParams().replace(values)
+
+
+# -- textures and visibility ---------------------------------------------------------------------
+
+
+def test_textures_are_taken_once_and_followed_down_the_pyramid(frames):
+    """With no guides, at each scale the data are those of a run on the textures themselves."""
+    own = textures(*pyramid.stretch(*frames, np.dtype(float)), 0.9)
+    for more in ({}, {"n_scales": 1}, {"lambda_gradient": 0.5, "derivatives": "both"}):
+        values = {**all_orders(1.1), **more}
+        found = flow(frames, texture=0.9, **values)
+        np.testing.assert_allclose(found, flow(own, **values), atol=1e-6)
+        assert np.abs(found - flow(frames, **values)).max() > 1e-3
+
+
+def test_guides_see_the_gray_levels(frames, monkeypatch):
+    """Classes, weights of edges, filter and visibility are given the same frames with textures as without."""
+    seen: dict[float, list] = {0.0: [], 0.9: []}
+
+    def spy(name):
+        real = getattr(beyond, name)
+        monkeypatch.setattr(beyond, name, lambda image, *rest: seen[share].append(image) or real(image, *rest))
+
+    for name in ("edge_weights", "Visibility", "FlowFilter"):
+        spy(name)
+    for share in seen:
+        flow(frames, **{**EVERYTHING, "texture": share})
+    assert len(seen[0.0]) == len(seen[0.9]) > 6
+    for one, other in zip(*seen.values(), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def hidden(shape=(26, 31)):
+    """A flow that converges along a column, where one surface covers another."""
+    u = np.random.default_rng(6).normal(0.0, 0.2, (2, *shape))
+    u[0] += np.where(np.arange(shape[1]) < 15, 1.0, -1.0)
+    return u
+
+
+@pytest.mark.parametrize("values", [{}, {"lambda_gradient": 0.5}, {"derivatives": "both", "texture": 0.9}])
+def test_data_count_as_much_as_they_are_seen(frames, values):
+    params = FlowParams(dtype="float64", **values)
+    u = hidden()
+    plain, weighted = (
+        beyond.data(*frames, chosen)(*frames, chosen).at(u)
+        for chosen in (params, params.replace({"occlusion": "both"}))
+    )
+    linear = Brightness(*frames, FlowParams(dtype="float64")).at(u)
+    expected = visibility(u, linear.rho_c + linear.gradient[0] * u[0] + linear.gradient[1] * u[1])
+    assert expected.min() < 0.01 and expected.max() > 0.9
+    np.testing.assert_allclose(weighted.rho_c, plain.rho_c * expected)
+    np.testing.assert_allclose(weighted.gradient, plain.gradient * expected)
+
+
+def test_weighing_the_residual_is_thresholding_with_a_lambda_of_each_pixel(frames):
+    """The v-step in closed form: v = z - tau lambda w sign(rho) grad, or as far as rho = 0, tau = theta + step."""
+    params = FlowParams(dtype="float64", occlusion="both")
+    u = hidden()
+    plain = Brightness(*frames, params).at(u)
+    weights = beyond.Visibility(*frames, params).of(u)
+    target = MultiplierStep(u, params).target(u, beyond.residual(*frames, params).at(u))
+    tau, g2 = params.theta + params.coupling_step, np.square(plain.gradient).sum(axis=0)
+    rho = plain.rho_c + (plain.gradient * u).sum(axis=0)
+    limit = params.lambda_ * weights
+    move = np.clip(rho / (tau * np.where(g2 > 0.0, g2, 1.0)), -limit, limit) * (g2 > 0.0)
+    w = u - params.coupling_step * move * plain.gradient
+    assert (abs(move) == limit).any() and (abs(move) < limit).any()
+    np.testing.assert_allclose(target, 2.0 * w - u, atol=1e-9)  # w - c with c = u - w
+
+
+def test_where_there_is_no_flow_yet_all_is_seen(frames):
+    far = 20.0 * frames[0], 20.0 * np.roll(frames[1], 9, axis=1)
+    params = FlowParams(dtype="float64", occlusion="both")
+    start = np.zeros((2, 26, 31))
+    assert beyond.Visibility(*far, params).of(start).min() < 0.1
+    plain, weighted = (
+        beyond.residual(*far, params.replace({"occlusion": occlusion})).at(start) for occlusion in ("none", "both")
+    )
+    for one, other in zip(plain, weighted, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_without_visibility_all_neighbours_count_alike(frames, monkeypatch):
+    """The filter's numbers are those of a visibility that is 1 everywhere; with it they are others."""
+    u = hidden()
+    filters = {name: FlowParams(dtype="float64", weighted_radius=2, occlusion=name) for name in ("median", "none")}
+    found = {name: beyond.refiner(*frames, params)(u) for name, params in filters.items()}
+    assert (found["median"] != found["none"]).any()
+    monkeypatch.setattr("fracbench.model.median.visibility", lambda flow, residual: np.ones_like(residual))
+    np.testing.assert_array_equal(beyond.refiner(*frames, filters["median"])(u), found["none"])
 
 
 def test_gradients_need_the_multiplier(frames):
