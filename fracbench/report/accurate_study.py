@@ -21,14 +21,18 @@ if TYPE_CHECKING:
 
 #: Parts of the experiment: none of the ingredients, all of them, and the grid the preset is chosen from.
 PLAIN, ALL, CHOICE = "plain", "accurate", "choice"
-_CHANGES = {"/": "taken from", "+": "added to"}
+#: How the names of the other parts start, what was done there, and the part to compare with.
+_CHANGES = {
+    f"{PLAIN}/": ("added alone", PLAIN),
+    f"{ALL}/": ("taken from the whole", ALL),
+    f"{ALL}+": ("added to the whole", ALL),
+}
 _LEGEND = (
     f"`{PLAIN}` has none of the ingredients and `{PLAIN}/x` has x alone; `{ALL}` is the preset, `{ALL}/x` has all "
     f"but x, `{ALL}+x` has x on top. "
     "AEPE in pixels, AAE in degrees, `seconds` of computing as stored: each the mean over the sequences, then "
     "AEPE for each sequence."
 )
-_CHANGES = {"/": "taken from", "+": "added to"}
 _CHOICE_LEGEND = (
     "For each sequence the setting is chosen that has the least mean AEPE on the others, and is scored on it: its "
     "true flow had no part in the choice. `all in`: the setting with the least mean over all."
@@ -137,7 +141,7 @@ def _short(ablation: pd.DataFrame) -> pd.DataFrame:
 
 
 def ablation_sentences(ablation: pd.DataFrame) -> list[str]:
-    """Say what each ingredient changes alone, and what the others lose without it.
+    """Say what each ingredient changes alone, and what the others lose without it or gain by it.
 
     Parameters
     ----------
@@ -150,18 +154,14 @@ def ablation_sentences(ablation: pd.DataFrame) -> list[str]:
         Sentences; none for errors that are not known.
     """
     aepe = ablation.set_index("part")["AEPE"]
-    sentences = []
-    for name in (part.partition("/")[2] for part in aepe.index if part.startswith(f"{PLAIN}/")):
-        part, change = next(
-            ((part, change) for part, change in _CHANGES.items() if f"{ALL}{part}{name}" in aepe), ("/", "")
-        )
-        alone, whole = aepe[f"{PLAIN}/{name}"] / aepe[PLAIN], aepe.get(f"{ALL}{part}{name}", math.nan) / aepe[ALL]
-        if math.isfinite(alone) and math.isfinite(whole):
-            sentences.append(
-                f"{name}: added alone {100.0 * (alone - 1.0):+.1f} % AEPE, "
-                f"{change} the whole {100.0 * (whole - 1.0):+.1f} %."
-            )
-    return sentences
+    effects: dict[str, list[str]] = {}
+    for part, error in aepe.items():
+        for start, (words, whole) in _CHANGES.items():
+            if str(part).startswith(start):
+                percent = 100.0 * (error / aepe[whole] - 1.0)
+                told = f"{words} {percent:+.1f} %" if math.isfinite(percent) else ""
+                effects.setdefault(str(part).removeprefix(start), []).append(told)
+    return [f"{name}: {', '.join(told)} AEPE." for name, told in effects.items() if all(told)]
 
 
 def choice_sentences(choice: pd.DataFrame) -> list[str]:

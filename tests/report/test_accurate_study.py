@@ -38,6 +38,7 @@ def grid():
 @pytest.fixture
 def ablated():
     factors = {"plain": 1.0, "plain/x": 0.8, "plain/y": 1.1, "accurate": 0.5, "accurate/x": 0.6, "accurate+y": 0.5}
+    factors["accurate/z"] = 0.4
     records = [
         {"part": part, "sequence": sequence, "aepe": factor * base, "aae": 0.1 * factor * base, "seconds": base}
         for part, factor in factors.items()
@@ -91,8 +92,9 @@ def test_the_ablation_holds_means_and_sequences(ablated):
     )
     assert table.loc["accurate", "AAE"] == pytest.approx(math.degrees(0.1))
     assert ablation_sentences(table.reset_index()) == [
-        "x: added alone -20.0 % AEPE, taken from the whole +20.0 %.",
-        "y: added alone +10.0 % AEPE, added to the whole +0.0 %.",
+        "x: added alone -20.0 %, taken from the whole +20.0 % AEPE.",
+        "y: added alone +10.0 %, added to the whole +0.0 % AEPE.",
+        "z: taken from the whole -20.0 % AEPE.",
     ]
 
 
@@ -100,7 +102,7 @@ def test_a_mean_over_fewer_sequences_is_none(ablated):
     ablated.loc[ablated["part"] == "plain/x", "aepe"] = [1.0, math.nan]
     table = ablation_table(ablated)
     assert math.isnan(table.set_index("part").loc["plain/x", "AEPE"])
-    assert [sentence.partition(":")[0] for sentence in ablation_sentences(table)] == ["y"]
+    assert [sentence.partition(":")[0] for sentence in ablation_sentences(table)] == ["y", "z"]
 
 
 @pytest.fixture
@@ -115,7 +117,7 @@ def test_the_experiment_adds_and_takes_away_each_ingredient():
         {p.removeprefix(start) for p in grids if p.startswith(start)}
         for start in ("plain/", "accurate/", "accurate+")
     )
-    assert alone == taken | more and not taken & more and len(alone) == 6
+    assert taken | more == alone | {"occlusion-aware median"} and not taken & more and len(alone) == 9
     experiment = load_experiment("accurate")
     plan = plan_experiment(experiment.grids, ["dataset=synthetic"], allow_download=False)
     params: dict = {}
@@ -125,11 +127,12 @@ def test_the_experiment_adds_and_takes_away_each_ingredient():
     def changed(part, whole):
         return {name for name, value in params[part].items() if value != params[whole][name]}
 
-    for name in taken:
+    assert changed("accurate/occlusion-aware median", "accurate") == {"occlusion"}
+    for name in taken & alone:
         assert changed(f"plain/{name}", "plain") == changed(f"accurate/{name}", "accurate") != set()
     for name in more:
         assert changed(f"plain/{name}", "plain") == changed(f"accurate+{name}", "accurate") != set()
-    ingredients = set.union(*(changed(f"plain/{name}", "plain") for name in taken))
+    ingredients = set.union(*(changed(f"plain/{name}", "plain") for name in taken & alone))
     assert changed("accurate", "plain") == ingredients
 
 
