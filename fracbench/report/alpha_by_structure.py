@@ -31,9 +31,9 @@ if TYPE_CHECKING:
 
 _LEGEND = (
     "`best` is the alpha with the smallest error relative to alpha = 1, in the geometric mean over seeds (scenes) "
-    "or regions (classes of pixels, `{all}`: all of them), with the interval of 2000 bootstrap resamples. The "
+    "or sequences (classes of pixels, `{all}`: all of them), with the interval of 2000 bootstrap resamples. The "
     "gain over alpha = 1, with Student's interval, is taken at the alpha that is best for the other half of the "
-    "seeds or regions: an alpha chosen on the same data gains something always. `paper`: section 4.2, where "
+    "seeds or sequences: an alpha chosen on the same data gains something always. `paper`: section 4.2, where "
     "flat is close to 0, read as up to 0.3; `costs`: the best alpha in that range against the best of all. Under "
     "`reflect`, alpha = 0 is apart: the operator is the identity there. Parameters: conf/sequence."
 )
@@ -89,7 +89,7 @@ def _of_figure(curves: pd.DataFrame, part: str, noise: Any) -> pd.DataFrame:
 def _heading(experiment: Experiment, chosen: pd.DataFrame) -> str:
     noise, n = chosen["noise"].iloc[0], int(chosen["n"].max())
     if chosen["part"].iloc[0] == BY_CLASS:
-        return f"{experiment.title}\nAEPE within classes of pixels, {n} regions"
+        return f"{experiment.title}\nAEPE within classes of pixels, {n} sequences"
     return f"{experiment.title}\nAEPE on scenes of one structure, {n} seeds, noise {noise}"
 
 

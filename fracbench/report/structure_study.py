@@ -16,7 +16,7 @@ from fracbench.report.base import FLAT
 if TYPE_CHECKING:
     import pandas as pd
 
-#: Parts of the experiment: rendered scenes, repeated over seeds; classes of pixels, over regions or sequences.
+#: Parts of the experiment: rendered scenes, repeated over seeds; classes of pixels, over sequences.
 SCENES, BY_CLASS = "scenes", "classes"
 #: What stands for all pixels among the classes.
 ALL = "all"
@@ -38,7 +38,7 @@ def long_table(runs: pd.DataFrame) -> pd.DataFrame:
     -------
     pandas.DataFrame
         ``part, structure, noise, boundary, unit, alpha, aepe, aae``: a structure is a scene without its prefix, or
-        a class of pixels; a unit is a seed, a region or a sequence. Errors of points that are not done are NaN.
+        a class of pixels; a unit is a seed or a sequence. Errors of points that are not done are NaN.
     """
     import pandas as pd
 
@@ -47,7 +47,7 @@ def long_table(runs: pd.DataFrame) -> pd.DataFrame:
     names = scenes["sequence"].str.removeprefix("synthetic_")
     parts = [scenes.assign(structure=names, unit=scenes["seed"])]
     whole = runs[runs["part"] == BY_CLASS]
-    whole = whole.assign(unit=whole["region"].where(whole["region"] != "", whole["sequence"]))
+    whole = whole.assign(unit=whole["sequence"])
     parts.append(whole.assign(structure=ALL))
     for name in CLASSES:
         columns = {metric: whole.get(f"{metric}_{name}", np.nan) for metric in METRICS}

@@ -156,12 +156,21 @@ def small(fake_rows):
 
 def test_the_experiment_asks_what_the_issue_asks():
     grid = parse_overrides(load_experiment("alpha_by_structure").grids["scenes"])
-    assert grid.size == 3 * 20 * 8 * 2
+    assert grid.size == 3 * 20 * 11 * 2
     one = [f"{axis.keys[0]}={axis.values[-1][0]}" for axis in grid.axes]
     points = [planned.point for planned in plan_experiment({"scenes": one}, allow_download=False).points]
     assert {point.sequence for point in points} == set(LONE)
     assert {(point.seed, point.noise, point.params["alpha"]) for point in points} == {(19, "3", "2")}
     assert {(point.method, point.box) for point in points} == {("tvl1_sb_alpha", (24, 72, 24, 72))}
+
+
+def test_classes_are_those_of_whole_frames():
+    grids = {"classes": load_experiment("alpha_by_structure").grids["classes"]}
+    points = [p.point for p in plan_experiment(grids, ["dataset=synthetic"], allow_download=False).points]
+    assert len(points) == len({point.key for point in points}) == 8 * 2 * 10
+    assert {(point.box, point.context, point.score) for point in points} == {(None, 0, "structure")}
+    assert {point.params["boundary"] for point in points} == {"zero", "reflect"}
+    assert sorted({float(point.params["alpha"]) for point in points}) == pytest.approx(np.arange(1, 11) / 5)
 
 
 def test_both_parts_become_one_form(small):
