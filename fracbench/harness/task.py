@@ -174,7 +174,7 @@ def _inside(box: tuple[int, int, int, int]) -> tuple[slice, slice]:
     return slice(row0, row1), slice(col0, col1)
 
 
-_warmed: set[tuple[str, ...]] = set()
+_warmed: set[tuple[str | bool, ...]] = set()
 
 
 def _warm_up(name: str, params: FlowParams) -> None:
@@ -182,7 +182,9 @@ def _warm_up(name: str, params: FlowParams) -> None:
 
     From then on the process computes on one thread: tables must not depend on the number of jobs.
     """
-    variant = (name, params.dtype, params.u_solver, params.inner, params.boundary)
+    # What is called follows from the words among the parameters, and from the numbers that are 0: off.
+    switches = [value if isinstance(value, str) else bool(value) for value in params.as_dict().values()]
+    variant = (name, *switches)
     if variant not in _warmed:
         tiny = np.random.default_rng(0).uniform(0.0, 255.0, (2, 32, 32))
         small = params.replace({"n_scales": 2, "n_warps": 1, "max_iter": 2, "max_inner": 2})
