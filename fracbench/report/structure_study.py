@@ -144,7 +144,7 @@ def sentences(best: pd.DataFrame) -> list[str]:
     lines = []
     rows = best[best["metric"] == METRICS[0]]
     for (part, structure), found in rows.groupby(["part", "structure"], sort=False):
-        where = "Middlebury's pixels" if part == BY_CLASS else "scenes"
+        where = "classes of pixels" if part == BY_CLASS else "scenes"
         gains = found["gain"]
         text = (
             f"{structure} ({where}): best alpha {found['best'].min():g} to {found['best'].max():g} over "
