@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 _SWEEP = ("region=grove2_A", "alpha=0:2:0.05")
 
 
-def bench(study: str | None, tokens: Sequence[str], *, repeats: int, threads: int, only: Sequence[str]) -> None:
+def bench(
+    study: str | None, tokens: Sequence[str], *, repeats: int, threads: int | None, only: Sequence[str]
+) -> None:
     """Run the benchmark or one of its studies.
 
     Parameters
@@ -26,8 +28,10 @@ def bench(study: str | None, tokens: Sequence[str], *, repeats: int, threads: in
         None for the race of all contenders.
     tokens : sequence of str
         Overrides; those of the race and of `jobs` have defaults.
-    repeats, threads : int
-        Timed rounds; threads, or worker processes of `jobs`.
+    repeats : int
+        Timed rounds.
+    threads : int or None
+        Threads, or worker processes of `jobs`; None for 1 in the race, and for 2 where they are compared with 1.
     only : sequence of str
         Contenders of the race.
 
@@ -36,6 +40,8 @@ def bench(study: str | None, tokens: Sequence[str], *, repeats: int, threads: in
     InputError
         Numbers below 1, and what the studies refuse.
     """
+    if threads is None:
+        threads = 2 if study in ("size", "jobs") else 1
     if repeats < 1 or threads < 1:
         raise InputError(f"bench: --repeats and --threads must be at least 1, got {repeats} and {threads}")
     if study == "size":

@@ -67,7 +67,7 @@ def test_the_command_writes_table_and_picture(tmp_path, capsys):
 
 def test_growth_reports_every_size(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(growth, "SHAPES", ((40, 48), (60, 64)))
-    assert main(["bench", "--study", "size", "--repeats", "1", "--threads", "2", f"paths.results={tmp_path}"]) == 0
+    assert main(["bench", "--study", "size", "--repeats", "1", f"paths.results={tmp_path}"]) == 0
     assert "bytes_per_pixel" in capsys.readouterr().out
     table = pd.read_csv(tmp_path / "runs" / "bench" / "size_2_threads.csv")
     assert table[["boundary", "height", "width"]].values.tolist() == [
@@ -87,7 +87,7 @@ def test_the_roofline_counts_flops_and_bytes(monkeypatch, tmp_path):
 
 def test_jobs_compare_whole_sweeps(tmp_path):
     sweep = [SCENE, "alpha=1,1.2,1.4", "n_scales=1", "n_warps=1", "max_iter=1", "method=tvl1_sb_alpha"]
-    command = ["bench", *sweep, "--study", "jobs", "--threads", "2", "--repeats", "1", f"paths.results={tmp_path}"]
+    command = ["bench", *sweep, "--study", "jobs", "--repeats", "1", f"paths.results={tmp_path}"]
     assert main(command) == 0
     row = pd.read_csv(tmp_path / "runs" / "bench" / "jobs_2.csv").iloc[0]
     assert (row["points"], row["jobs"]) == (3, 2) and row["overhead_ms"] > 0
