@@ -7,7 +7,7 @@ from statistics import median
 from typing import Any
 
 from fracbench.data.middlebury import SIZES
-from fracbench.harness.plan import Point
+from fracbench.harness.point import Point
 from fracbench.harness.store import Row
 
 #: Used until the store holds a point of the method: seconds a pixel, one thread.

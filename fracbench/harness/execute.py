@@ -12,7 +12,8 @@ from fracbench.errors import InputError
 from fracbench.harness import provenance, spool
 from fracbench.harness.cost import pixels
 from fracbench.harness.job import Job, Outcome
-from fracbench.harness.plan import Plan, Point
+from fracbench.harness.plan import Plan
+from fracbench.harness.point import Point
 from fracbench.harness.store import Row, Store
 from fracbench.harness.workers import Crew, LocalCrew
 from fracbench.model import SOLVER_VERSION

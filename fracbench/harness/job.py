@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fracbench.harness.plan import Point
+from fracbench.harness.point import Point
 from fracbench.harness.store import Row
 
 

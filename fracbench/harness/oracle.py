@@ -20,7 +20,7 @@ from fracbench.data.files import atomic_path, read_flow, write_flow
 from fracbench.errors import FracbenchError
 from fracbench.evaluation.metrics import endpoint_error, flow_errors
 from fracbench.evaluation.structure import CLASSES, structure_classes
-from fracbench.harness.plan import Point
+from fracbench.harness.point import Point
 from fracbench.harness.store import canonical_json
 from fracbench.harness.task import point_arrays
 from fracbench.methods.registry import get_method

@@ -21,7 +21,7 @@ from fracbench.evaluation.structure import errors_by_class, structure_classes
 from fracbench.harness import provenance
 from fracbench.harness.job import Outcome
 from fracbench.harness.memory import peak_mib, reset_peak
-from fracbench.harness.plan import Point
+from fracbench.harness.point import Point
 from fracbench.methods.registry import get_method
 from fracbench.methods.variational import energy_growth
 from fracbench.model.params import FlowParams

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 from fracbench.errors import FracbenchError, InputError
 from fracbench.harness.experiment import Experiment
 from fracbench.harness.oracle import compute_oracle, load_maps, load_oracle, oracle_file
-from fracbench.harness.plan import Plan, Point
+from fracbench.harness.plan import Plan
+from fracbench.harness.point import Point
 from fracbench.harness.store import Row
 from fracbench.report import tables
 from fracbench.report.adaptive_study import (

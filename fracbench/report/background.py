@@ -9,7 +9,7 @@ from fracbench.data.regions import Region
 from fracbench.evaluation.metrics import CONVENTIONS
 from fracbench.harness.assets import asset
 from fracbench.harness.config import group_options, load_config
-from fracbench.harness.plan import canonical_value
+from fracbench.harness.point import canonical_value
 from fracbench.harness.store import Row
 from fracbench.model.params import FlowParams
 from fracbench.report.blocks import Block, Cell, Column, Details, Section, Table, Text, demoted

@@ -14,7 +14,8 @@ from fracbench.data.files import read_flow, write_flow
 from fracbench.data.sequence import list_sequences
 from fracbench.errors import FracbenchError
 from fracbench.evaluation.metrics import endpoint_error, flow_errors
-from fracbench.harness.plan import Plan, Point, make_plan
+from fracbench.harness.plan import Plan, make_plan
+from fracbench.harness.point import Point
 from fracbench.harness.task import point_arrays
 from fracbench.report.blocks import Gallery, Picture, embedded
 from fracbench.report.flowcolor import color_wheel, fastest, flow_to_color

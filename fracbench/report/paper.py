@@ -11,7 +11,8 @@ from fracbench.data.sequence import load_sequence
 from fracbench.errors import InputError, unknown_name
 from fracbench.harness.config import SequenceConfig, load_config
 from fracbench.harness.experiment import Experiment
-from fracbench.harness.plan import Plan, canonical_value
+from fracbench.harness.plan import Plan
+from fracbench.harness.point import canonical_value
 from fracbench.harness.store import Row
 from fracbench.model.params import FlowParams, ParamInfo, public_name
 from fracbench.report import tables

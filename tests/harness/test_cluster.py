@@ -17,7 +17,8 @@ pytest.importorskip("distributed", reason="needs the extra `dask`")
 from fracbench.errors import DataError, FracbenchError, InputError
 from fracbench.harness import cluster, execute, spool, task
 from fracbench.harness.job import Job
-from fracbench.harness.plan import Point, make_plan
+from fracbench.harness.plan import make_plan
+from fracbench.harness.point import Point
 from fracbench.harness.store import Row, Store
 from fracbench.model import SOLVER_VERSION
 

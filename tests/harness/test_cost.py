@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from fracbench.harness.cost import ROUGH_SECONDS_PER_PIXEL, expected_seconds
-from fracbench.harness.plan import Point
+from fracbench.harness.point import Point
 from fracbench.harness.store import Row
 
 SCENE = 128 * 160

@@ -17,7 +17,7 @@ from joblib.externals.loky.process_executor import BrokenProcessPool
 
 from fracbench.errors import FracbenchError
 from fracbench.harness import execute, spool, workers
-from fracbench.harness import plan as plan_module
+from fracbench.harness import point as point_module
 from fracbench.harness.job import Job
 from fracbench.harness.plan import make_plan
 from fracbench.harness.store import Store
@@ -155,8 +155,8 @@ def test_the_number_of_workers_changes_no_bit(tmp_path, method):
 
 def test_another_version_of_the_solver_is_a_reason(store, monkeypatch):
     execute.run(plan("alpha=1"), store, jobs=1)
-    version = plan_module.SOLVER_VERSION
-    for module in (plan_module, execute):
+    version = point_module.SOLVER_VERSION
+    for module in (point_module, execute):
         monkeypatch.setattr(module, "SOLVER_VERSION", version + 1)
     report = execute.run(plan("alpha=1,2"), store, jobs=1)
     assert dict(report.reasons) == {f"solver version {version} -> {version + 1}": 1, "new": 1}
@@ -167,7 +167,7 @@ def test_another_version_of_the_solver_is_a_reason(store, monkeypatch):
 def test_changed_data_are_a_reason(store, fake_rows):
     made = plan("alpha=1")
     (row,) = fake_rows(made).values()
-    old = {**vars(row), "key": "made from other data", "solver_version": plan_module.SOLVER_VERSION}
+    old = {**vars(row), "key": "made from other data", "solver_version": point_module.SOLVER_VERSION}
     store.put(type(row)(**old))
     report, todo = execute.missing(made, store)
     assert dict(report.reasons) == {"data changed": 1}

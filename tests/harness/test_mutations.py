@@ -17,7 +17,8 @@ from fracbench.data import gray, middlebury
 from fracbench.errors import DataError
 from fracbench.evaluation import metrics
 from fracbench.harness import regression, task
-from fracbench.harness.plan import Plan, PlannedPoint, Point
+from fracbench.harness.plan import Plan, PlannedPoint
+from fracbench.harness.point import Point
 from fracbench.harness.regression import Verdict, check
 from fracbench.harness.store import Row
 from fracbench.model import SOLVER_VERSION, fractional

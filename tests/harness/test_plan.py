@@ -16,8 +16,10 @@ from fracbench.data import synthetic
 from fracbench.data.middlebury import SEQUENCES, Resolved
 from fracbench.errors import InputError
 from fracbench.harness import plan as plan_module
+from fracbench.harness import point as point_module
 from fracbench.harness.config import group_options, load_config
-from fracbench.harness.plan import Plan, canonical_value, make_plan, plan_experiment
+from fracbench.harness.plan import Plan, make_plan, plan_experiment
+from fracbench.harness.point import canonical_value
 from fracbench.methods.registry import get_method
 from fracbench.model.params import FlowParams
 
@@ -199,7 +201,7 @@ def test_what_came_later_is_in_no_key_where_it_is_off():
     """Keys of results that were stored before there was such a parameter stay as they were."""
     usual = FlowParams().as_dict()
     (planned,) = plan(FLAT, "method=tvl1_sb_alpha_map").points
-    for name, value in plan_module._YOUNGER.items():
+    for name, value in point_module._YOUNGER.items():
         assert canonical_value(usual[name]) == planned.point.params[name] == value
     older = get_method("tvl1_sb_alpha_map").uses - {"texture", "occlusion"}
     assert set(planned.point.spec["params"]) == older
@@ -235,7 +237,7 @@ def test_a_key_changes_with_the_content_of_the_data(middlebury_found, monkeypatc
 def test_a_key_changes_with_the_solvers_version_but_an_identity_does_not(monkeypatch):
     (planned,) = plan(FLAT).points
     key_before, identity_before = planned.point.key, planned.point.identity
-    monkeypatch.setattr(plan_module, "SOLVER_VERSION", plan_module.SOLVER_VERSION + 1)
+    monkeypatch.setattr(point_module, "SOLVER_VERSION", point_module.SOLVER_VERSION + 1)
     assert planned.point.key != key_before
     assert planned.point.identity == identity_before
 

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from fracbench.harness import execute, plan
+from fracbench.harness import execute, plan, point
 from fracbench.harness.plan import plan_experiment
 from fracbench.harness.status import standing
 from fracbench.harness.store import Store
@@ -54,7 +54,7 @@ def test_every_point_is_counted_once(mini, fake_rows, monkeypatch):
     found = stand()
     assert (found.points, found.done, found.failed, found.stale, found.missing) == (5, 2, 1, 0, 2)
     assert found.why == {"new": 2}
-    for module in (plan, execute):  # a new solver: what was done is stale
+    for module in (point, execute):  # a new solver: what was done is stale
         monkeypatch.setattr(module, "SOLVER_VERSION", 99)
     found = stand()
     assert (found.points, found.done, found.failed, found.stale, found.missing) == (5, 0, 0, 3, 2)

@@ -16,7 +16,7 @@ from fracbench.errors import InputError
 from fracbench.evaluation.metrics import flow_errors
 from fracbench.evaluation.structure import CLASSES, structure_classes
 from fracbench.harness import task
-from fracbench.harness.plan import Point, canonical_value
+from fracbench.harness.point import Point, canonical_value
 from fracbench.harness.task import point_arrays, run_point
 from fracbench.methods.registry import get_method
 from fracbench.methods.variational import energy_growth
