@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pandas as pd
 import pytest
 
+from fracbench import estimate_flow
 from fracbench.cli import main
 from fracbench.errors import InputError
 from fracbench.harness import bench, growth
+from fracbench.harness.memory import array_bytes
 from fracbench.report import benchmark
 
 SCENE = "sequence=synthetic_corner"
@@ -74,6 +78,22 @@ def test_growth_reports_every_size(monkeypatch, tmp_path, capsys):
         ["reflect", 40, 48], ["reflect", 60, 64], ["zero", 40, 48],
     ]  # fmt: skip
     np.testing.assert_allclose(table["us_per_pixel"], 1e6 * table["seconds"] / table["height"] / table["width"])
+
+
+def test_a_flow_takes_no_more_memory_than_is_told():
+    frames = growth.texture_pair((240, 320))
+    estimate = partial(estimate_flow, *frames, boundary="reflect", **growth.FIXED)
+    estimate()
+    assert array_bytes(estimate) / (240 * 320) < 120.5
+
+
+def test_bytes_are_those_of_the_arrays_that_live_at_once():
+    def work():
+        first = np.zeros(10**6, np.uint8)
+        del first
+        np.zeros(3 * 10**6, np.uint8)
+
+    assert array_bytes(work) == pytest.approx(3 * 10**6, rel=0.01)
 
 
 def test_the_roofline_counts_flops_and_bytes(monkeypatch, tmp_path):

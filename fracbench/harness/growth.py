@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracbench.harness import execute
-from fracbench.harness.memory import peak_mib, reset_peak
+from fracbench.harness.memory import array_bytes, peak_mib, reset_peak
 from fracbench.harness.plan import make_plan
 from fracbench.harness.store import Store
 
@@ -63,8 +64,9 @@ def by_size(
     Returns
     -------
     list of dict
-        ``height, width, seconds, us_per_pixel, bytes_per_pixel, speed_up``: seconds on one thread, the peak
-        memory of one estimate beyond what the process held before, and one thread's time over several threads'.
+        ``height, width, seconds, us_per_pixel, bytes_per_pixel, resident, speed_up``: seconds on one thread; bytes
+        a pixel at peak of an estimate, of its arrays and of resident memory beyond what the process held before;
+        and one thread's time over several threads'.
     """
     from fracbench.api import estimate_flow
 
@@ -72,15 +74,16 @@ def by_size(
     for height, width in SHAPES if boundary == "reflect" else SHAPES[:1]:
         frames = texture_pair((height, width))
         took: dict[int, list[float]] = {1: [], threads: []}
-        estimate_flow(*frames, boundary=boundary, **FIXED)  # what is compiled or planned stays in memory
+        estimate = partial(estimate_flow, *frames, boundary=boundary, **FIXED)
+        estimate()  # what is compiled or planned stays in memory
         reset_peak()
         before = peak_mib()
-        estimate_flow(*frames, boundary=boundary, **FIXED)
+        estimate()
         peak = peak_mib()
         for _ in range(repeats):
             for number, times in took.items():
                 started = time.perf_counter()
-                estimate_flow(*frames, boundary=boundary, threads=number, **FIXED)
+                estimate(threads=number)
                 times.append(time.perf_counter() - started)
                 if on_lap is not None:
                     on_lap()
@@ -91,7 +94,8 @@ def by_size(
                 "width": width,
                 "seconds": seconds,
                 "us_per_pixel": 1e6 * seconds / (height * width),
-                "bytes_per_pixel": 2**20 * ((peak or np.nan) - (before or np.nan)) / (height * width),
+                "bytes_per_pixel": array_bytes(estimate) / (height * width),
+                "resident": 2**20 * ((peak or np.nan) - (before or np.nan)) / (height * width),
                 "speed_up": seconds / median(took[threads]),
             }
         )

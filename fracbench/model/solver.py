@@ -210,11 +210,10 @@ def solve_level(
         Iterations and stop reasons.
     """
     report = LevelReport(shape=(u.shape[1], u.shape[2]))
-    u0, after = np.zeros_like(u), np.empty_like(u)
+    after = np.empty_like(u)
+    still = None if params.relinearise else np.zeros_like(u)
     for _ in range(params.n_warps):
-        if params.relinearise:
-            u0 = u
-        linear = residual.at(u0)
+        linear = residual.at(u if still is None else still)
         v_step.relinearised()
         watch.lap("warping")
         if params.dual_restart:
