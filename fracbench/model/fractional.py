@@ -233,8 +233,9 @@ def _product(a: Array, b: Array, out: Array) -> None:
     share(lambda start, stop: np.matmul(a[start:stop], b, out=out[start:stop]), len(out))
 
 
-# As many bases as a sweep of 21 orders comes back to at four scales: 15 MB on a region, 150 MB on whole frames.
-@lru_cache(maxsize=192)
+# As many bases as a sweep of 21 orders comes back to at six scales (with fewer it would find none of them): 15 MB
+# on a region, 150 MB on whole frames.
+@lru_cache(maxsize=256)
 def _eigenbasis(alpha: float, n: int, pad: int) -> tuple[Float64Array, Float64Array]:
     t = left_derivative_matrix(alpha, n, pad)
     # The singular values of T, squared, keep the small eigenvalues of T^T T accurate.
