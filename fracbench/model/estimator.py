@@ -13,6 +13,7 @@ from fracbench.model.arrays import Array
 from fracbench.model.params import FlowParams
 from fracbench.model.regularizers import Regularizer
 from fracbench.model.solver import Brightness, LevelReport, PenaltyStep, Residual, Stopwatch, VStep, solve_level
+from fracbench.model.threads import each
 
 RegularizerFactory = Callable[[FlowParams, Array], Regularizer]
 VStepFactory = Callable[[Array, FlowParams], VStep]
@@ -114,10 +115,10 @@ def coarse_to_fine(
     watch = Stopwatch()
     dtype = np.dtype(params.dtype)
     shapes = pyramid.scale_shapes(frame0.shape, params.eta, params.n_scales)
-    pyramids = [
-        pyramid.build(pyramid.smooth(frame, params.presmoothing), shapes, params.eta)
-        for frame in pyramid.stretch(frame0, frame1, dtype)
-    ]
+    pyramids = each(
+        lambda frame: pyramid.build(pyramid.smooth(frame, params.presmoothing), shapes, params.eta),
+        pyramid.stretch(frame0, frame1, dtype),
+    )
     watch.lap("pyramid")
     flow = np.zeros((2, *shapes[-1]), dtype)
     levels: list[LevelReport] = []

@@ -8,6 +8,7 @@ import numpy as np
 import scipy.ndimage
 
 from fracbench.model.arrays import Array
+from fracbench.model.threads import each
 from fracbench.model.warping import resize
 
 #: sigma_0 of section 3.4: blur of the unit-scale image from which sigma(eta) follows.
@@ -139,6 +140,5 @@ def upsample_flow(flow: Array, shape: tuple[int, int], gain: float | None = None
     """
     ratios = (shape[1] / flow.shape[2], shape[0] / flow.shape[1]) if gain is None else (gain, gain)
     fine = np.empty((2, *shape), flow.dtype)
-    for component in range(2):
-        np.multiply(resize(flow[component], shape), flow.dtype.type(ratios[component]), out=fine[component])
+    each(lambda c: np.multiply(resize(flow[c], shape), flow.dtype.type(ratios[c]), out=fine[c]), range(2))
     return fine

@@ -21,7 +21,7 @@ from fracbench.model.linear import (
 )
 from fracbench.model.proximal import bregman_update, mean_squared_change, shrink_difference
 from fracbench.model.reflected import NaturalGradient
-from fracbench.model.threads import count, share
+from fracbench.model.threads import count, each, share
 
 
 class Regularizer(Protocol):
@@ -72,12 +72,11 @@ class TVDual:
     def step(self, v: Array, u: Array, out: Array) -> int:
         """Write ``v + theta div p`` to `out` and move p along its gradient; see `Regularizer.step`."""
 
-        def take(start: int, stop: int) -> None:
-            for component in range(start, stop):
-                dual_primal(v[component], self._p[component], self._theta, out[component])
-                dual_ascent(out[component], self._step, self._p[component])
+        def take(component: int) -> None:
+            dual_primal(v[component], self._p[component], self._theta, out[component])
+            dual_ascent(out[component], self._step, self._p[component])
 
-        share(take, 2, least=1)
+        each(take, range(2))
         return 1
 
 
@@ -196,13 +195,7 @@ class SplitBregman:
         """Take one warm step, or iterate from a cold start; see `Regularizer.step`."""
         if count() > 1 and len(self._w) == 1:  # both components at once
             self._w.append(np.zeros_like(self._w[0]))
-        inner = [0, 0]
-
-        def take(start: int, stop: int) -> None:
-            for component in range(start, stop):
-                inner[component] = self._take_component(component, v[component], u[component], out[component])
-
-        share(take, 2, least=1)
+        inner = each(lambda c: self._take_component(c, v[c], u[c], out[c]), range(2))
         return sum(inner) if self._cold else 1
 
     def _take_component(self, component: int, v: Array, u: Array, out: Array) -> int:

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
 from itertools import pairwise
+from typing import TypeVar
 
 from fracbench.errors import InputError
 from fracbench.model.transforms import LINES
 
 #: Fewer lines than this are not worth waking a thread for.
 LEAST_LINES = 64
+
+T = TypeVar("T")
+R = TypeVar("R")
 
 _threads: ContextVar[int] = ContextVar("threads", default=1)
 _pool: ContextVar[ThreadPoolExecutor] = ContextVar("pool")
@@ -83,3 +87,15 @@ def share(work: Callable[[int, int], object], lines: int, least: int = LEAST_LIN
     take(cuts[0], cuts[1])
     for other in others:
         other.result()
+
+
+def each(work: Callable[[T], R], items: Sequence[T]) -> list[R]:
+    """Return ``[work(item) for item in items]``, computed at the same time; see `share`."""
+    found: dict[int, R] = {}
+
+    def take(start: int, stop: int) -> None:
+        for i in range(start, stop):
+            found[i] = work(items[i])
+
+    share(take, len(items), least=1)
+    return [found[i] for i in range(len(items))]

@@ -101,13 +101,13 @@ def test_the_usual_circumstances_are_those_of_the_check():
 
 def test_threads_reach_the_solver(monkeypatch):
     from fracbench.model import regularizers
-    from fracbench.model.threads import count, share
+    from fracbench.model.threads import count, each
 
     seen = []
-    monkeypatch.setattr(regularizers, "share", lambda *args, **kw: seen.append(count()) or share(*args, **kw))
-    plan = make_plan(["sequence=synthetic_flat", "n_scales=1", "n_warps=1", "max_iter=2", "boundary=reflect"])
+    monkeypatch.setattr(regularizers, "each", lambda *args: seen.append(count()) or each(*args))
+    plan = make_plan(["sequence=synthetic_flat", "n_scales=1", "n_warps=1", "max_iter=1", "boundary=reflect"])
     results_of(plan, 2, "")
-    assert set(seen) == {1, 2}  # both components at once, each alone
+    assert set(seen) == {2}
 
 
 def test_a_process_takes_on_its_circumstance(monkeypatch):

@@ -10,7 +10,7 @@ from numba import config
 
 from fracbench import estimate_flow
 from fracbench.errors import InputError
-from fracbench.model.threads import count, share, use_threads
+from fracbench.model.threads import count, each, share, use_threads
 from fracbench.model.transforms import LINES
 
 
@@ -30,6 +30,12 @@ def test_every_line_is_taken_once(threads, lines, least):
     assert len(starts) == min(threads, max(1, lines // least))
     if least >= LINES:
         assert all(start % LINES == 0 for start in starts)
+
+
+def test_each_gives_the_results_in_order():
+    for threads in (1, 2, 5):
+        with use_threads(threads):
+            assert each(lambda x: x * x, range(5)) == [0, 1, 4, 9, 16]
 
 
 def test_ranges_run_at_the_same_time():
