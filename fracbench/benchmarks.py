@@ -85,8 +85,9 @@ def race(tokens: Sequence[str], *, repeats: int, threads: int, only: Sequence[st
         records = racing.run(racers, tokens, repeats=repeats, threads=threads, on_lap=advance)
     summary = benchmark.summarise(records, racing.YARDSTICK)
     title = f"mean over {len(plan.points)} sequences, {threads} thread(s), {plan.dataset}"
-    note = f"ratio: to {racing.YARDSTICK}; seconds: median of {repeats} rounds"
-    _write(pd.DataFrame(records), stem, title, note, shown=summary)
+    note = f"seconds: median of {repeats} rounds; ratio: to {racing.YARDSTICK}"
+    shown = summary.dropna(axis="columns", how="all")  # without the yardstick there is no ratio
+    _write(pd.DataFrame(records), stem, title, note if "ratio" in shown else note.partition(";")[0], shown=shown)
     figure = benchmark.error_against_time(summary, f"Error against time, {threads} thread(s)")
     for path in save_figure(figure, stem):
         console.say(f"wrote {path}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -13,6 +14,8 @@ from fracbench.cli import main
 from fracbench.errors import InputError
 from fracbench.harness import bench, growth
 from fracbench.harness.memory import array_bytes
+from fracbench.harness.plan import make_plan
+from fracbench.harness.point import canonical_value
 from fracbench.report import benchmark
 
 SCENE = "sequence=synthetic_corner"
@@ -25,6 +28,20 @@ def test_all_that_is_installed_runs_by_default(monkeypatch):
     for boundary in ("reflect", "zero"):
         for alpha in ("1", "1.2", "1.7"):
             assert f"tvl1_sb_alpha {boundary} alpha {alpha}" in names
+    assert {"tvl1_sb_alpha_map 2 orders", "accurate"} < set(names)
+
+
+def test_a_contender_may_bring_a_protocol(monkeypatch):
+    seen = []
+    preset = make_plan([SCENE, "protocol=accurate"]).points[0].point.params
+
+    def estimate(frame0, frame1, params):
+        seen.append({name: canonical_value(value) for name, value in params.as_dict().items() if name in preset})
+        return SimpleNamespace(flow=np.zeros((2, *frame0.shape)))
+
+    monkeypatch.setattr(bench, "get_method", lambda name: SimpleNamespace(estimate=estimate))
+    bench.run([bench.Contender("a", "any", protocol="accurate")], [SCENE], repeats=1, threads=1)
+    assert seen == [preset, preset]
 
 
 def test_contenders_by_beginning_of_name():
@@ -63,9 +80,10 @@ def test_the_summary_is_relative_to_the_yardstick():
 def test_the_command_writes_table_and_picture(tmp_path, capsys):
     results = f"paths.results={tmp_path}"
     assert main(["bench", SCENE, results, "--repeats", "1", "--only", "tvl1"]) == 0
-    assert "tvl1_sb_alpha" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "tvl1_sb_alpha" in out and "ratio" not in out
     table = pd.read_csv(tmp_path / "runs" / "bench" / "bench_1_threads.csv")
-    assert len(table) == 8 and (table["seconds"] > 0).all()
+    assert len(table) == 9 and (table["seconds"] > 0).all()
     assert (tmp_path / "runs" / "bench" / "bench_1_threads.png").stat().st_size > 1000
 
 

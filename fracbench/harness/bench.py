@@ -10,6 +10,7 @@ from statistics import median
 from typing import Any
 
 from fracbench.errors import InputError, unknown_name
+from fracbench.evaluation.structure import CLASSES
 from fracbench.harness.memory import peak_mib, reset_peak
 from fracbench.harness.plan import make_plan
 from fracbench.harness.task import point_arrays
@@ -31,12 +32,15 @@ class Contender:
     method : str
         In the registry.
     params : mapping
-        On top of the sequence's own (Table 2) and of the method's defaults.
+        On top of the sequence's own (Table 2) and of the method's defaults, or of the protocol's.
+    protocol : str
+        Whose parameters to take as they are; empty for the method's own.
     """
 
     name: str
     method: str
     params: Mapping[str, Any] = field(default_factory=dict)
+    protocol: str = ""
 
 
 def _ours() -> list[Contender]:
@@ -49,7 +53,12 @@ def _ours() -> list[Contender]:
     ]
     own = FlowParams()
     fast = {name: getattr(own, name) for name in ("u_solver", "inner", "coupling", "epsilon", "max_iter")}
-    return [Contender("tvl1", "tvl1"), Contender("tvl1_sb", "tvl1_sb", fast), *fractional]
+    two_orders = {f"alpha_{name}": "1" if name == "flat" else "1.2" for name in CLASSES}
+    beyond = [
+        Contender("tvl1_sb_alpha_map 2 orders", "tvl1_sb_alpha_map", {**two_orders, **fast}),
+        Contender("accurate", "tvl1_sb_alpha_map", protocol="accurate"),
+    ]
+    return [Contender("tvl1", "tvl1"), Contender("tvl1_sb", "tvl1_sb", fast), *fractional, *beyond]
 
 
 _PEERS = (
@@ -131,17 +140,20 @@ def run(
     from fracbench.methods import peers
     from fracbench.model.threads import use_threads
 
-    plan = make_plan((*tokens, "protocol=recommended"))
+    plans = {
+        name: make_plan((*tokens, f"protocol={name or 'recommended'}")) for name in {r.protocol for r in racers}
+    }
+    plan = next(iter(plans.values()))
     seconds: dict[tuple[str, str], list[float]] = {}
     records: dict[tuple[str, str], dict[str, Any]] = {}
     peers.opencv_threads = threads
     with use_threads(threads), threadpool_limits(1):
         for round_number in range(repeats + 1):  # round 0 warms up: compilation, caches
-            for planned in plan.points:
+            for i, planned in enumerate(plan.points):
                 frame0, frame1, truth, inner = point_arrays(planned.point, plan.folder)
                 for racer in racers:
                     method = get_method(racer.method)
-                    params = _params(racer, planned.point.params)
+                    params = _params(racer, plans[racer.protocol].points[i].point.params)
                     reset_peak()
                     before = peak_mib()
                     started = time.perf_counter()
@@ -167,6 +179,8 @@ def run(
 
 
 def _params(racer: Contender, sequence_params: Mapping[str, str]) -> FlowParams:
+    if racer.protocol:
+        return FlowParams().replace(sequence_params).replace(racer.params)
     method = get_method(racer.method)
     table2 = {name: sequence_params[name] for name in ("lambda", "theta", "n_scales", "lambda_sb")}
     return FlowParams().replace(method.defaults).replace(table2).replace(racer.params)
