@@ -80,7 +80,8 @@ def race(tokens: Sequence[str], *, repeats: int, threads: int, only: Sequence[st
     from fracbench.report.style import save_figure
 
     racers = racing.contenders(only)
-    plan, stem = make_plan(tokens), _stem(tokens, f"bench_{threads}_threads")
+    some = "_some" if only else ""  # not in place of the race of all
+    plan, stem = make_plan(tokens), _stem(tokens, f"bench_{threads}_threads{some}")
     with console.progress(len(plan.points) * len(racers) * repeats, "bench") as advance:
         records = racing.run(racers, tokens, repeats=repeats, threads=threads, on_lap=advance)
     summary = benchmark.summarise(records, racing.YARDSTICK)

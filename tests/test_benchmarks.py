@@ -82,9 +82,9 @@ def test_the_command_writes_table_and_picture(tmp_path, capsys):
     assert main(["bench", SCENE, results, "--repeats", "1", "--only", "tvl1"]) == 0
     out = capsys.readouterr().out
     assert "tvl1_sb_alpha" in out and "ratio" not in out
-    table = pd.read_csv(tmp_path / "runs" / "bench" / "bench_1_threads.csv")
+    table = pd.read_csv(tmp_path / "runs" / "bench" / "bench_1_threads_some.csv")
     assert len(table) == 9 and (table["seconds"] > 0).all()
-    assert (tmp_path / "runs" / "bench" / "bench_1_threads.png").stat().st_size > 1000
+    assert (tmp_path / "runs" / "bench" / "bench_1_threads_some.png").stat().st_size > 1000
 
 
 def test_growth_reports_every_size(monkeypatch, tmp_path, capsys):
