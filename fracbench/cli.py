@@ -137,7 +137,7 @@ def _add_flows(add: _Add) -> None:
     estimate.add_argument("--threads", type=int, default=1, help="threads (default: 1)")
     estimate.add_argument("--method", default=None, help="see `fracbench methods`")
     estimate.add_argument(
-        "overrides", nargs="*", metavar="KEY=VALUE", help="parameters, e.g. alpha=1.2 lambda=0.5"
+        "overrides", nargs="*", metavar="KEY=VALUE", help="parameters, e.g. alpha=1.2, or protocol=accurate"
     )
 
 

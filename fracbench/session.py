@@ -254,7 +254,7 @@ def estimate_files(
     threads : int, optional
         Threads of the solver.
     overrides : sequence of str, optional
-        Parameters as ``KEY=VALUE``.
+        Parameters as ``KEY=VALUE``, on top of those of ``protocol=NAME``.
 
     Raises
     ------
@@ -263,12 +263,16 @@ def estimate_files(
     """
     from fracbench.api import DEFAULT_METHOD, estimate_flow
     from fracbench.data.files import read_flow, read_image
+    from fracbench.harness.config import protocol_settings
     from fracbench.model.params import FlowParams
 
     grid = parse_overrides(overrides)
     if grid.size > 1:
         raise InputError(f"estimate takes one value a parameter ({' '.join(overrides)}); use sweep for grids")
-    values: dict[str, Any] = dict(next(grid.points()))
+    given = dict(next(grid.points()))
+    protocol = given.pop("protocol", "")
+    brought, preset = protocol_settings(protocol) if protocol else (None, {})  # the defaults are `recommended`
+    values: dict[str, Any] = {**preset, **given}
     FlowParams().replace(values)
     picture = color or picture_beside(output)
     _require_outputs(output, picture, [path for path in (frame0, frame1, truth) if path is not None])
@@ -279,9 +283,10 @@ def estimate_files(
             f"{truth}: the true flow is {expected.shape[2]} x {expected.shape[1]}, the frames are "
             f"{first.shape[1]} x {first.shape[0]} (width x height)"
         )
-    result = estimate_flow(first, second, method=method or DEFAULT_METHOD, threads=threads, **values)
-    preset = "preset recommended" if not overrides else f"preset recommended with {' '.join(overrides)}"
-    _say_result(result, preset)
+    result = estimate_flow(first, second, method=method or brought or DEFAULT_METHOD, threads=threads, **values)
+    changes = " ".join(token for token in overrides if token != f"protocol={protocol}")
+    preset_name = f"preset {protocol or 'recommended'}"
+    _say_result(result, f"{preset_name} with {changes}" if changes else preset_name)
     if expected is not None:
         say_errors(result.flow, expected)
     write_flow_and_picture(result.flow, output, picture)

@@ -187,6 +187,7 @@ def test_pixels_that_are_not_finite(bad):
         (["alpha=2.5"], "`alpha` must be in [0, 2], got 2.5"),
         (["alpha=0:2:1"], "estimate takes one value a parameter (alpha=0:2:1); use sweep"),
         (["region=grove2_A"], "unknown parameter 'region'"),
+        (["protocol=acurate"], "unknown protocol 'acurate': did you mean 'accurate'?"),
         (["method=tvl1"], "unknown parameter 'method'"),
         (["frame0=1"], "unknown parameter 'frame0'"),
         (["trace=true"], "unknown parameter 'trace'"),

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 
 import fracbench
 from fracbench import api, estimate_flow, session
@@ -20,6 +21,7 @@ from fracbench.data import middlebury as middlebury_data
 from fracbench.data.files import read_flow, read_image
 from fracbench.evaluation.metrics import flow_errors
 from fracbench.harness import execute, regression, spread, tolerances
+from fracbench.harness.assets import asset
 from fracbench.harness.store import Store
 from fracbench.harness.tolerances import MEASURED
 from fracbench.harness.workers import LocalCrew
@@ -348,6 +350,21 @@ def test_the_flow_may_be_kittis_and_the_picture_elsewhere(cli, images):
 
 def test_the_default_method_is_that_of_the_python_interface(cli, images):
     assert cli("estimate", "a.png", "b.png", "-o", "f.flo").out.startswith(f"{api.DEFAULT_METHOD} (")
+
+
+def test_a_protocol_gives_its_method_and_its_own_parameters(cli, images):
+    done = cli("estimate", "a.png", "b.png", "-o", "f.flo", "protocol=accurate", "median_radius=1")
+    assert done.out.startswith("tvl1_sb_alpha_map (preset accurate with median_radius=1): ")
+    preset = yaml.safe_load(asset("conf/protocol/accurate.yaml").read_text())
+    values = {**preset["params"], "median_radius": 1}
+    params = {"lambda_" if name == "lambda" else name: value for name, value in values.items()}
+    expected = estimate_flow(read_image("a.png"), read_image("b.png"), method=preset["method"], **params)
+    np.testing.assert_array_equal(read_flow("f.flo"), expected.flow)
+    # of `reference` nothing but its own: no sequence's lambda or theta
+    done = cli("estimate", "a.png", "b.png", "-o", "f.flo", "protocol=reference")
+    own = yaml.safe_load(asset("conf/protocol/reference.yaml").read_text())["params"]
+    expected = estimate_flow(read_image("a.png"), read_image("b.png"), **own)
+    np.testing.assert_array_equal(read_flow("f.flo"), expected.flow)
 
 
 def test_what_was_there_is_kept_if_the_command_is_refused(cli, images):

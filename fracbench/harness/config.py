@@ -215,6 +215,33 @@ def group_options(group: str) -> list[str]:
     return [name for name in names if name != "none"]
 
 
+def protocol_settings(name: str) -> tuple[str | None, dict[str, Any]]:
+    """Return what a protocol sets itself, without the parameters of any sequence.
+
+    Parameters
+    ----------
+    name : str
+        A file of ``conf/protocol``.
+
+    Returns
+    -------
+    method : str or None
+        The method that it brings.
+    params : dict
+        Parameters of `FlowParams`.
+
+    Raises
+    ------
+    InputError
+        An unknown name, or a file that is no protocol.
+    """
+    from omegaconf import OmegaConf
+
+    load_config({"protocol": name})  # what is wrong in the file is said here
+    raw: Any = OmegaConf.to_container(OmegaConf.load(asset(f"conf/protocol/{name}.yaml")))
+    return raw.get("method"), dict(raw.get("params") or {})
+
+
 def known_keys() -> list[str]:
     """Return every key that an override may name."""
     return [*GROUPS, *SETTINGS, *FlowParams.names()]
