@@ -34,7 +34,8 @@ _LEGEND = (
     "AEPE for each sequence."
 )
 _CHOICE_LEGEND = (
-    "For each sequence the setting is chosen that has the least mean AEPE on the others, and is scored on it: its "
+    f"Among the preset, the preset with an ingredient taken away or added, and the weights of `{CHOICE}`, for "
+    "each sequence the setting is chosen that has the least mean AEPE on the others, and is scored on it: its "
     "true flow had no part in the choice. `all in`: the setting with the least mean over all."
 )
 
@@ -47,7 +48,7 @@ def accurate_study(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], 
     table = tables.tidy(plan, rows)
     table["seconds"] = [rows[key].seconds if key in rows else math.nan for key in table["key"]]
     ablation = ablation_table(table[table["part"] != CHOICE])
-    choice = choice_table(table[table["part"] == CHOICE])
+    choice = choice_table(table[[str(part).startswith((ALL, CHOICE)) for part in table["part"]]])
     lines = [*ablation_sentences(ablation), *choice_sentences(choice)]
     notes = [*plan.notices, *tables.footnote(rows, [ALL])]
     text = [f"# {experiment.title}\n", _LEGEND + "\n", tables.to_markdown(_short(ablation)) + "\n"]
@@ -97,7 +98,8 @@ def choice_table(table: pd.DataFrame) -> pd.DataFrame:
     Parameters
     ----------
     table : pandas.DataFrame
-        From `tables.tidy`: every setting on every sequence.
+        From `tables.tidy`: every setting on every sequence. Of the part `CHOICE` each combination of what varies
+        in it is a setting, and every other part is one.
 
     Returns
     -------
@@ -108,9 +110,11 @@ def choice_table(table: pd.DataFrame) -> pd.DataFrame:
     """
     import pandas as pd
 
-    varying = [name for name in FlowParams.names() if name in table and table[name].nunique() > 1]
-    names = [", ".join(f"{name}={value:g}" for name, value in zip(varying, row, strict=True))
-             for row in table[varying].to_numpy()]  # fmt: skip
+    weights = table[table["part"] == CHOICE]
+    varying = [name for name in FlowParams.names() if name in weights and weights[name].nunique() > 1]
+    labels = [", ".join(f"{name}={value:g}" for name, value in zip(varying, row, strict=True))
+              for row in table[varying].to_numpy()]  # fmt: skip
+    names = [label if part == CHOICE else part for part, label in zip(table["part"], labels, strict=True)]
     table = table.assign(setting=names, degrees=table["aae"] * (180.0 / math.pi))
     # Settings in the order of the grid: of equally good ones the first is taken.
     aepe, aae = (

@@ -28,7 +28,15 @@ SETTINGS = {(0.1, 0.1): (1.0, 9.0, 1.0), (0.1, 0.2): (4.0, 4.0, 4.0), (0.3, 0.1)
 @pytest.fixture
 def grid():
     records = [
-        {"sequence": sequence, "lambda": one, "edge_decay": other, "theta": 0.4, "aepe": error, "aae": error / 100}
+        {
+            "part": "choice",
+            "sequence": sequence,
+            "lambda": one,
+            "edge_decay": other,
+            "theta": 0.4,
+            "aepe": error,
+            "aae": error / 100,
+        }
         for (one, other), errors in SETTINGS.items()
         for sequence, error in zip("abc", errors, strict=True)
     ]
@@ -64,6 +72,15 @@ def test_each_sequence_is_scored_with_what_the_others_choose(grid):
     left_out, all_in = table.iloc[3], table.iloc[4]
     assert (left_out["sequence"], left_out["AEPE"]) == ("left out", pytest.approx((2.0 + 9.0 + 2.0) / 3))
     assert (all_in["setting"], all_in["AEPE"]) == ("lambda=0.3, edge_decay=0.1", pytest.approx(2.0))
+
+
+def test_whole_parts_are_settings_too(grid):
+    """One that is best by far on a and b, and worst by far on c, is what a and b choose for c."""
+    other = [("a", 0.01), ("b", 0.01), ("c", 99.0)]
+    rows = pd.DataFrame([{"part": "accurate/x", "sequence": s, "aepe": e, "aae": e / 100} for s, e in other])
+    table = choice_table(pd.concat([grid, rows], ignore_index=True)).set_index("sequence")
+    assert table.loc["c", "setting"] == "accurate/x" and table.loc["c", "AEPE"] == pytest.approx(99.0)
+    assert "accurate/x" not in table.loc[["a", "b"], "setting"].tolist()
 
 
 def test_the_error_on_a_sequence_has_no_part_in_its_choice(grid):
