@@ -24,7 +24,7 @@ _PYRAMID = frozenset(FlowParams.names()) - _BEYOND - {
     "coupling_step", "relaxation"
 }  # fmt: skip
 # Cheap iterations that gain little each: the default of six is for those of the exact u-step.
-_SMALL_STEPS = {"epsilon": 0.02, "max_iter": 300}
+_SMALL_STEPS = {"epsilon": 0.02, "max_iter": 300, "n_warps": 5}
 _BREGMAN = frozenset(FlowParams.names()) - _BEYOND - {"alpha", "boundary", "pad", "tau"}
 
 
@@ -162,7 +162,7 @@ register(
         "fracbench.methods.adaptive:tvl1_sb_alpha_map",
         _BREGMAN | _BEYOND,
         # the orders that have no weight at a pixel hold its flow back: its changes are smaller, not its distance
-        {"epsilon": 0.01, "max_iter": 10},
+        {"n_warps": 5, "max_iter": 10},
     )
 )
 

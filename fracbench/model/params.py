@@ -76,7 +76,7 @@ class FlowParams:
         1.1, "order of the fractional gradient", symbol=r"\alpha", paper_range="[0, 2]", low=0.0, high=2.0
     )
     epsilon: float = _param(
-        0.03, "stopping threshold on the change of the flow, pixels", symbol=r"\epsilon", paper_range="0.01",
+        0.01, "stopping threshold on the change of the flow, pixels", symbol=r"\epsilon", paper_range="0.01",
         low=0.0,
     )  # fmt: skip
     eta: float = _param(
@@ -87,7 +87,7 @@ class FlowParams:
         paper_range="[3, 5] (Table 2: 4 to 6)", low=1,
     )  # fmt: skip
     n_warps: int = _param(
-        5, "number of warps (linearisations) a scale", symbol=r"N_{warps}", paper_range="[3, 5]", low=1
+        4, "number of warps (linearisations) a scale", symbol=r"N_{warps}", paper_range="[3, 5]", low=1
     )
     max_iter: int = _param(
         6, "largest number of iterations a warp", symbol=r"N_{maxitr}", paper_range="not given", low=1
