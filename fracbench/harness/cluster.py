@@ -28,6 +28,7 @@ from fracbench.harness.store import Row
 from fracbench.model import SOLVER_VERSION
 
 _CONNECT_SECONDS = 10
+_GATHER_SECONDS = 5.0
 _POLL_SECONDS = 1.0
 _FLUSH_SECONDS = 1.0
 _LOOK_SECONDS = 0.2
@@ -138,12 +139,18 @@ class DaskCrew:
         job = self._busy[worker][0]
         if future.status == "error":
             self._raise_unless_killed(worker, future.exception())
-        elif future.status == "finished" and not future.result():
+        elif future.status == "finished" and self._lacked_data(future):
             self._holds.pop(worker, None)  # it has been started anew and lacks the data
             self._send(worker, job)
             return []
         del self._busy[worker]
         return [(job.key, self._rows.pop(job.key, None))]
+
+    def _lacked_data(self, future: Any) -> bool:
+        """Tell whether the worker could not begin; not if it died right after it had ended."""
+        with suppress(TimeoutError):  # what it returned is gone with it, and would be waited for forever
+            return not future.result(timeout=_GATHER_SECONDS)
+        return False
 
     def _raise_unless_killed(self, worker: str, error: BaseException) -> None:
         from distributed.scheduler import KilledWorker

@@ -112,6 +112,21 @@ def test_a_worker_killed_in_mid_sweep_costs_one_retry_and_changes_no_bit(running
         assert values(here) == values(report.rows[key])
 
 
+@pytest.mark.parametrize("row", [None, "the row"])
+def test_what_a_worker_returned_as_it_died_is_not_waited_for(row):
+    class Lost:
+        status = "finished"
+
+        def result(self, timeout):
+            raise TimeoutError
+
+    crew, lost = object.__new__(cluster.DaskCrew), Lost()
+    crew._busy = {"worker": (a_job(key="k"), lost)}
+    crew._rows = {} if row is None else {"k": row}
+    assert crew._end("worker", lost) == [("k", row)]
+    assert crew._busy == {}
+
+
 def test_what_a_worker_finished_outlives_it(running, store, monkeypatch, tmp_path):
     log = tmp_path / "log"
 
