@@ -52,7 +52,9 @@ def _ours() -> list[Contender]:
         for alpha in ("1", "1.2", "1.7")
     ]
     own = FlowParams()
-    fast = {name: getattr(own, name) for name in ("u_solver", "inner", "coupling", "epsilon", "max_iter", "n_warps")}
+    fast = {
+        name: getattr(own, name) for name in ("u_solver", "inner", "coupling", "epsilon", "max_iter", "n_warps")
+    }
     two_orders = {f"alpha_{name}": "1" if name == "flat" else "1.2" for name in CLASSES}
     beyond = [
         Contender("tvl1_sb_alpha_map 2 orders", "tvl1_sb_alpha_map", {**two_orders, **fast}),

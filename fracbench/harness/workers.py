@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import atexit
+import enum
 import os
 import signal
 import threading
 import time
+import typing
 import warnings
-from collections.abc import Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
 from functools import partial
+from multiprocessing import connection
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -54,19 +57,6 @@ class Crew(Protocol):
         ...
 
 
-@dataclass
-class _Run:
-    """A job in its place."""
-
-    place: _Place
-    job: Job
-
-    def overdue(self) -> bool:
-        """Tell whether the estimate, which alone is timed, runs for longer than it may."""
-        began, allowed = self.place.began(), self.job.timeout
-        return began is not None and allowed is not None and time.monotonic() - began > allowed
-
-
 class LocalCrew:
     """Processes on this machine, one for each place.
 
@@ -87,7 +77,8 @@ class LocalCrew:
 
     def __init__(self, jobs: int, folder: Path) -> None:
         self._jobs, self._folder = jobs, folder.resolve()
-        self._busy: dict[Future[None], _Run] = {}
+        self._busy: dict[Connection, _Place] = {}
+        self._rested: list[_Place] = []
         self._stillborn = 0
 
     def free(self) -> int:
@@ -96,16 +87,12 @@ class LocalCrew:
 
     def start(self, job: Job) -> None:
         """Start a job in an idle process, or in a new one."""
-        from joblib.externals.loky.process_executor import BrokenProcessPool
-
         while True:
-            place = _idle.pop() if _idle else _Place()
-            try:
-                future = place.submit(partial(_compute, job, self._folder, os.getpid()))
-            except BrokenProcessPool:  # it died while it was idle
-                continue
-            self._busy[future] = _Run(place, job)
-            return
+            place = self._rested.pop() if self._rested else _idle.pop() if _idle else _Place()
+            if place.give(job, self._folder):
+                self._busy[place.line] = place
+                return
+            _close([place])  # it died while it was idle
 
     def wait(self, seconds: float) -> list[tuple[str, Row | None]]:
         """Return the keys of jobs that ended or took too long, with their rows; no row if the process died.
@@ -117,44 +104,53 @@ class LocalCrew:
         """
         if not self._busy:
             time.sleep(seconds)
-        ended, _ = wait(self._busy, seconds, FIRST_COMPLETED)
-        overdue = {future for future, run in self._busy.items() if run.overdue()} - ended
-        found = [end for future in ended if (end := self._end(future)) is not None]
+        until = time.monotonic() + seconds
+        found: list[tuple[str, Row | None]] = []
+        while not found and (left := until - time.monotonic()) > 0.0 and self._busy:
+            for line in connection.wait(list(self._busy), left):
+                found += self._hear(self._busy[typing.cast("Connection", line)])
+        overdue = [place for place in self._busy.values() if place.overdue()]
         return [*found, *map(self._give_up, overdue)]
 
-    def _end(self, future: Future[None]) -> tuple[str, Row | None] | None:
-        from joblib.externals.loky.process_executor import BrokenProcessPool
+    def _hear(self, place: _Place) -> list[tuple[str, Row | None]]:
+        """Take what a process says: nothing if its job goes on."""
+        try:
+            said = place.hear()
+        except (EOFError, OSError):
+            return self._bury(place)
+        if said is _Word.ENDED:
+            self._stillborn = 0
+            del self._busy[place.line]
+            self._rested.append(place)
+            return [(place.job.key, spool.read(self._folder, place.job.key))]
+        if isinstance(said, str):
+            raise FracbenchError(said)
+        return []
 
-        run = self._busy.pop(future)
-        error = future.exception()
-        if error is None:
-            _idle.append(run.place)
-        else:
-            _close([run.place])
-            if not isinstance(error, BrokenProcessPool):
-                raise FracbenchError(_explain(error, self._folder)) from error
-            if run.place.stillborn():
-                self._count_stillborn(error)
-                self.start(run.job)
-                return None
-        self._stillborn = 0
-        return run.job.key, spool.read(self._folder, run.job.key)
-
-    def _give_up(self, future: Future[None]) -> tuple[str, Row]:
-        run = self._busy.pop(future)
-        _close([run.place])
-        return run.job.key, spool.read(self._folder, run.job.key) or run.job.expired(provenance.machine())
-
-    def _count_stillborn(self, error: BaseException) -> None:
+    def _bury(self, place: _Place) -> list[tuple[str, Row | None]]:
+        del self._busy[place.line]
+        _close([place])
+        if place.ready:
+            self._stillborn = 0
+            return [(place.job.key, spool.read(self._folder, place.job.key))]
         self._stillborn += 1
         if self._stillborn == MAX_STILLBORN:
-            raise FracbenchError("worker processes die before they begin with a point (out of memory?)") from error
+            raise FracbenchError("worker processes die before they begin with a point (out of memory?)")
+        self.start(place.job)
+        return []
+
+    def _give_up(self, place: _Place) -> tuple[str, Row]:
+        del self._busy[place.line]
+        _close([place])
+        return place.job.key, spool.read(self._folder, place.job.key) or place.job.expired(provenance.machine())
 
     def close(self) -> None:
         """Kill the processes that have a job, which is given up."""
-        places = [run.place for run in self._busy.values()]
-        self._busy = {}
-        _close(places)
+        _close(list(self._busy.values()))
+        for place in self._rested:
+            place.rest()
+        _idle.extend(self._rested)
+        self._busy, self._rested = {}, []
 
 
 def dismiss() -> None:
@@ -169,40 +165,78 @@ def _close(places: Sequence[_Place]) -> None:
         list(side_by_side.map(_Place.close, places))
 
 
+class _Word(enum.Enum):
+    """What a worker says; a sentence instead says what went wrong."""
+
+    READY = enum.auto()
+    ESTIMATING = enum.auto()
+    ESTIMATED = enum.auto()
+    ENDED = enum.auto()
+
+
 class _Place:
-    """One executor with one process, which rings a bell when an estimate begins and when it ends."""
+    """One executor with one process, and a line to it.
+
+    The executor starts the process and takes it down. While a crew works, the process serves: jobs go to it, and
+    its words come back, over the line, which takes a fraction of the time that a task of the executor does. The
+    line breaks with the process.
+    """
 
     def __init__(self) -> None:
         from joblib.externals.loky import ProcessPoolExecutor
         from joblib.externals.loky.backend import get_context
 
-        # loky replaces a process that has grown by 100 MB, and says so if a job is waiting already.
+        # loky ends a process that has grown by 100 MB when it rests, and says so if it is to serve again already.
         warnings.filterwarnings("ignore", "A worker stopped while some jobs were given", UserWarning)
         threads = dict.fromkeys(_THREADS, "1")
-        self._bell = get_context().SimpleQueue()
-        self._began: float | None = None
-        mine = os.getpid(), self._bell
+        self.line, theirs = get_context().Pipe()
+        mine = os.getpid(), theirs
         self._executor = ProcessPoolExecutor(1, initializer=_get_ready, initargs=mine, env=threads)
-        self._ready = self.submit(os.getpid)
+        self._submit(os.getpid)
+        theirs.close()  # or the line would not break
+        self._serving = self.ready = False
+        self._began: float | None = None
 
-    def submit(self, function: Any) -> Future[Any]:
+    def _submit(self, function: Callable[[], Any]) -> None:
         with _deaf_to_ctrl_c():
-            future: Future[Any] = self._executor.submit(function)
-        return future
+            self._executor.submit(function)
 
-    def began(self) -> float | None:
-        """Return when the estimate that runs now was first heard of, or None if none runs; empty the pipe."""
-        while not self._bell.empty():
-            self._began = time.monotonic() if self._bell.get() else None
-        return self._began
+    def give(self, job: Job, folder: Path) -> bool:
+        """Start a job; False if the process has died while it was idle."""
+        from joblib.externals.loky.process_executor import BrokenProcessPool
 
-    def stillborn(self) -> bool:
-        """Tell whether the process died before it was ready."""
-        return self._ready.exception() is not None
+        try:
+            if not self._serving:
+                self._submit(partial(_serve, _compute, folder, os.getpid()))
+                self._serving, self.ready = True, False
+            self.line.send(job)
+        except (BrokenProcessPool, OSError):
+            return False
+        self.job = job
+        return True
+
+    def hear(self) -> _Word | str:
+        """Return the next thing that the process says; EOFError or OSError if it has died."""
+        said: _Word | str = self.line.recv()
+        self.ready = True
+        self._began = time.monotonic() if said is _Word.ESTIMATING else None
+        return said
+
+    def overdue(self) -> bool:
+        """Tell whether the estimate, which alone is timed, runs for longer than it may."""
+        allowed = self.job.timeout
+        return self._began is not None and allowed is not None and time.monotonic() - self._began > allowed
+
+    def rest(self) -> None:
+        """Let the process serve no longer: the interpreter's exit would wait for it."""
+        self._serving = False
+        with suppress(OSError):
+            self.line.send(None)
 
     def close(self) -> None:
         """Kill the process."""
         self._executor.shutdown(wait=True, kill_workers=True)
+        self.line.close()
 
 
 _idle: list[_Place] = []
@@ -225,13 +259,13 @@ def _deaf_to_ctrl_c() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-_bell: Any = None
+_line: Connection  # a worker's, to its parent
 
 
-def _get_ready(parent: int, bell: Any) -> None:
+def _get_ready(parent: int, line: Connection) -> None:
     """In a worker: see to it that it ends with its parent, and import what points need."""
-    global _bell
-    _bell = bell
+    global _line
+    _line = line
     threading.Thread(target=_end_with, args=(parent,), name="parent", daemon=True).start()
     from fracbench.harness import task  # noqa: F401
 
@@ -240,6 +274,18 @@ def _end_with(parent: int) -> None:
     while os.getppid() == parent:
         time.sleep(_LOOK_SECONDS)
     os._exit(1)
+
+
+def _serve(compute: Callable[[Job, Path, int], None], folder: Path, parent: int) -> None:
+    """In a worker: take jobs from the line and compute them, until there is None."""
+    _line.send(_Word.READY)
+    while (job := _line.recv()) is not None:
+        try:
+            compute(job, folder, parent)
+        except BaseException as exc:
+            _line.send(_explain(exc, folder))
+        else:
+            _line.send(_Word.ENDED)
 
 
 def _compute(job: Job, folder: Path, parent: int) -> None:
@@ -255,11 +301,11 @@ def _compute(job: Job, folder: Path, parent: int) -> None:
 @contextmanager
 def _timed() -> Iterator[None]:
     """Let the parent, whose clock no computation stops, know that an estimate runs."""
-    _bell.put(True)
+    _line.send(_Word.ESTIMATING)
     try:
         yield
     finally:
-        _bell.put(False)
+        _line.send(_Word.ESTIMATED)
 
 
 def _explain(error: BaseException, folder: Path) -> str:

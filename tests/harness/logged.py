@@ -16,7 +16,7 @@ from fracbench.harness import workers
 
 
 def install(log: Path, seconds: float) -> None:
-    def get_ready(parent, bell):  # both reach the workers by value
+    def get_ready(parent, line):  # both reach the workers by value
         import sys
         import time
         from types import SimpleNamespace
@@ -40,7 +40,7 @@ def install(log: Path, seconds: float) -> None:
             return Outcome("done", None, made_up, 0.1, None, {"host": "here"})
 
         sys.modules["fracbench.harness.task"] = SimpleNamespace(run_point=run_point)
-        workers._get_ready(parent, bell)
+        workers._get_ready(parent, line)
 
     def compute(job, folder, parent):
         import os

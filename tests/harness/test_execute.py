@@ -7,13 +7,11 @@ import signal
 import subprocess
 import sys
 import time
-from concurrent.futures import Future
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from joblib.externals.loky.process_executor import BrokenProcessPool
 
 from fracbench.errors import FracbenchError
 from fracbench.harness import execute, spool, workers
@@ -346,25 +344,28 @@ def test_what_was_finished_as_the_time_ended_is_kept(store, fake_rows):
     folder.mkdir()
     spool.write(folder, row)
     with closing(workers.LocalCrew(1, folder)) as crew:
-        crew._busy[Future()] = workers._Run(workers._Place(), Job(row.key, None, 1, 2, {}))
-        assert crew._give_up(*crew._busy) == (row.key, row)
+        place = workers._Place()
+        place.job = Job(row.key, None, 1, 2, {})
+        crew._busy[place.line] = place
+        assert crew._give_up(place) == (row.key, row)
+        assert crew.free() == 1
 
 
-def test_a_worker_that_dies_while_it_is_idle_costs_nothing(store, monkeypatch):
+@pytest.mark.parametrize("noticed", [False, True])
+def test_a_worker_that_dies_while_it_is_idle_costs_nothing(store, monkeypatch, noticed):
     replace_point(monkeypatch, lambda point, finish: finish())
     execute.run(plan("alpha=0"), store, jobs=1)
-    idle = workers._idle[-1]
-    os.kill(idle._ready.result(), signal.SIGTERM)
-    with pytest.raises(BrokenProcessPool):  # the death is noticed after a moment
-        while True:
-            idle.submit(os.getpid)
+    (pid,) = workers._idle[-1]._executor._processes
+    os.kill(pid, signal.SIGKILL)
+    if noticed:
+        while _alive(pid):
             time.sleep(0.05)
     report = execute.run(plan("alpha=1"), store, jobs=1)
     assert [(row.status, row.attempts) for row in report.rows.values()] == [("done", 1)]
 
 
 def test_a_worker_that_loky_replaces_costs_nothing(store, monkeypatch):
-    """As it does with one that has grown; the new one, too, ends with its parent and leaves Ctrl-C to it."""
+    """As it does after a sweep with one that has grown; the new one, too, ends with its parent, deaf to Ctrl-C."""
     pytest.importorskip("psutil", reason="without it loky replaces no worker")
 
     def instead(point, finish):
@@ -381,11 +382,17 @@ def test_a_worker_that_loky_replaces_costs_nothing(store, monkeypatch):
 
     replace_point(monkeypatch, instead)
     monkeypatch.setattr(workers, "_idle", [])
-    report = execute.run(plan("alpha=0:2:0.5"), store, jobs=1)
-    assert [(row.error, row.attempts) for row in report.rows.values()] == [(None, 1)] * 5
-    (pid,) = (place.submit(os.getpid).result() for place in workers._idle)
+    pids = set()
+    for alphas in ("alpha=0,0.5,1", "alpha=1.5,2"):
+        report = execute.run(plan(alphas), store, jobs=1)
+        assert {(row.error, row.attempts) for row in report.rows.values()} == {(None, 1)}
+        (place,) = workers._idle
+        pids |= set(place._executor._processes)
+        if len(pids) == 1:
+            while any(map(_alive, pids)):
+                time.sleep(0.05)
     workers.dismiss()
-    assert workers._idle == [] and not _alive(pid)
+    assert workers._idle == [] and len(pids) == 2 and not any(map(_alive, pids))
 
 
 # -- what was finished without being stored, and sweeps at once -----------------------------------
@@ -572,7 +579,7 @@ def test_one_job_means_one_point_at_a_time(store, monkeypatch, tmp_path):
 
 
 def test_workers_that_die_before_they_begin_end_the_sweep(store, monkeypatch):
-    def get_ready(parent):
+    def get_ready(parent, line):
         import os
 
         os._exit(9)
