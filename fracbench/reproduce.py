@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 from fracbench import console
 from fracbench.harness.experiment import Experiment, list_experiments, load_experiment
 from fracbench.harness.plan import Plan, plan_experiment
-from fracbench.session import announce, perform, say_failures
+from fracbench.harness.store import Store
+from fracbench.session import STORE, announce, compute, say_failures
 
 if TYPE_CHECKING:
     from fracbench.report.sources import Sources
@@ -77,19 +78,18 @@ def report(
     for line in [] if beyond else write_verdicts(sources):  # which are the paper's alone
         console.say(line)
     console.say(f"wrote {write_report(sources)}")
-    console.say(f"{len(_together(plans).unique())} points in all")
     return failed
 
 
 def run_all(experiments: Mapping[str, Experiment], plans: Mapping[str, Plan], jobs: int) -> int:
-    """Run what is missing of some experiments and write their artefacts, one line each.
+    """Run what is missing of some experiments together, then write their artefacts, one line each.
 
     Parameters
     ----------
     experiments, plans : mapping
         By name, in order.
     jobs : int
-        Worker processes.
+        Worker processes, for points and then for artefacts.
 
     Returns
     -------
@@ -101,15 +101,28 @@ def run_all(experiments: Mapping[str, Experiment], plans: Mapping[str, Plan], jo
     InputError
         Anything that the user can put right.
     """
-    failed = 0
-    for name, experiment in experiments.items():
-        done, artefact = perform(experiment, plans[name], jobs)
-        folders = ", ".join(dict.fromkeys(str(path.parent) for path in artefact.files))
-        counts = f"{len(plans[name].unique())} points, {done.computed} computed, wrote {len(artefact.files)} files"
-        console.say(f"{name}: {counts} in {folders}")
-        say_failures(done)
-        failed += len(done.failed)
-    return failed
+    from fracbench.harness.workers import side_by_side
+    from fracbench.report.artefacts import require_renderer
+
+    for experiment in experiments.values():
+        require_renderer(experiment)
+    done = compute(_together(plans), "report", jobs)
+    console.say(f"{len(done.rows)} points, {done.computed} computed")
+    drawn = side_by_side(_draw, [(experiments[name], plans[name]) for name in experiments], jobs)
+    for name, files in zip(experiments, drawn, strict=True):
+        folders = ", ".join(dict.fromkeys(str(path.parent) for path in files))
+        console.say(f"{name}: {len(plans[name].unique())} points, wrote {len(files)} files in {folders}")
+    say_failures(done)
+    return len(done.failed)
+
+
+def _draw(experiment: Experiment, plan: Plan) -> list[Path]:
+    """Write the artefact of an experiment whose points are stored; return its files."""
+    from fracbench.report.artefacts import render
+
+    with Store(plan.config.results / STORE, readonly=True) as store:
+        rows = store.get_many(plan.unique())
+    return render(experiment, plan, rows, plan.config.results).files
 
 
 def _together(plans: Mapping[str, Plan]) -> Plan:

@@ -118,17 +118,23 @@ def perform(
         An unknown artefact, or a folder that cannot be written.
     """
     from fracbench.report.artefacts import render, require_renderer
-    from fracbench.report.tables import ensure_folder
 
     require_renderer(experiment)
+    report = compute(plan, experiment.name, jobs, rerun_failed=rerun_failed)
+    return report, render(experiment, plan, report.rows, plan.config.results)
+
+
+def compute(plan: Plan, name: str, jobs: int, *, rerun_failed: bool = False) -> execute.Report:
+    """Compute what is missing of a plan, under a progress bar of that name; see `perform`."""
+    from fracbench.report.tables import ensure_folder
+
     require_workers(jobs)
     results = plan.config.results
     ensure_folder(results / STORE.parent)
     with Store(results / STORE) as store:
         _, todo = execute.missing(plan, store, rerun_failed=rerun_failed)
-        with console.progress(len(todo), experiment.name) as advance:
-            report = execute.run(plan, store, jobs=jobs, rerun_failed=rerun_failed, on_row=advance)
-    return report, render(experiment, plan, report.rows, results)
+        with console.progress(len(todo), name) as advance:
+            return execute.run(plan, store, jobs=jobs, rerun_failed=rerun_failed, on_row=advance)
 
 
 def require_workers(jobs: int) -> None:

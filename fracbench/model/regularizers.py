@@ -96,18 +96,16 @@ def dual_primal(v: Array, p: Array, theta: float, u: Array) -> None:
         Output.
     """
     height, width = v.shape
+    step = v.dtype.type(theta)  # or all would be computed in float64
     for i in range(height):
+        px, above, here = p[0, i], p[1, max(i - 1, 0)], p[1, i]
+        into, out_of = v.dtype.type(i > 0), v.dtype.type(i < height - 1)  # 0 across the border
         for j in range(width):
-            divergence = 0.0
-            if j < width - 1:
-                divergence += p[0, i, j]
-            if j > 0:
-                divergence -= p[0, i, j - 1]
-            if i < height - 1:
-                divergence += p[1, i, j]
-            if i > 0:
-                divergence -= p[1, i - 1, j]
-            u[i, j] = v[i, j] + theta * divergence
+            u[i, j] = v[i, j] + step * (out_of * here[j] - into * above[j])
+        for j in range(width - 1):
+            u[i, j] += step * px[j]
+        for j in range(1, width):
+            u[i, j] -= step * px[j - 1]
 
 
 @jit
@@ -124,13 +122,18 @@ def dual_ascent(u: Array, step: float, p: Array) -> None:
         Dual variable, overwritten.
     """
     height, width = u.shape
+    real = u.dtype.type  # or all would be computed in float64
+    rate, one = real(step), real(1.0)
+    ux = np.zeros(width, u.dtype)
     for i in range(height):
+        px, py, below = p[0, i], p[1, i], u[min(i + 1, height - 1)]
+        for j in range(width - 1):
+            ux[j] = u[i, j + 1] - u[i, j]
         for j in range(width):
-            ux = u[i, j + 1] - u[i, j] if j < width - 1 else 0.0
-            uy = u[i + 1, j] - u[i, j] if i < height - 1 else 0.0
-            scale = 1.0 / (1.0 + step * np.sqrt(ux * ux + uy * uy))
-            p[0, i, j] = (p[0, i, j] + step * ux) * scale
-            p[1, i, j] = (p[1, i, j] + step * uy) * scale
+            uy = below[j] - u[i, j]
+            scale = one / (one + rate * np.sqrt(ux[j] * ux[j] + uy * uy))
+            px[j] = (px[j] + rate * ux[j]) * scale
+            py[j] = (py[j] + rate * uy) * scale
 
 
 class SplitBregman:
@@ -184,7 +187,9 @@ class SplitBregman:
         if u_solver == "exact":
             self._system = system_diagonals(operator, theta, mu)
         elif not self._fused:
-            self._ny, self._nx = operator.normal_matrices()
+            # A sweep sums in float64; the products of the fixed point have the precision of the flow.
+            dtype = np.float64 if u_solver == "gauss_seidel" else operator.dtype
+            self._ny, self._nx = (matrix.astype(dtype) for matrix in operator.normal_matrices())
 
     def restart(self) -> None:
         """Set d and b to 0."""
