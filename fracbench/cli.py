@@ -59,6 +59,9 @@ def _dispatch(argv: list[str]) -> int:
 
 def console_entry() -> NoReturn:
     """Run the command line and leave with its exit code: the console script."""
+    from fracbench.harness.memory import return_what_is_freed
+
+    return_what_is_freed()
     code = main()
     if "fracbench.harness.workers" in sys.modules:  # not imported for the sake of having nothing to do
         from fracbench.harness.workers import dismiss

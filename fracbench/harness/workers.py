@@ -23,6 +23,7 @@ from typing import Any, Protocol
 from fracbench.errors import FracbenchError
 from fracbench.harness import provenance, spool
 from fracbench.harness.job import Job
+from fracbench.harness.memory import return_what_is_freed
 from fracbench.harness.store import Row
 
 #: So many workers in a row may die before they are ready for a point.
@@ -299,6 +300,7 @@ def _get_ready(parent: int, line: Connection) -> None:
     """In a worker: see to it that it ends with its parent, and import what points need."""
     global _line
     _line = line
+    return_what_is_freed()
     threading.Thread(target=_end_with, args=(parent,), name="parent", daemon=True).start()
     from fracbench.harness import task  # noqa: F401
 
