@@ -101,7 +101,7 @@ def make_plan(tokens: Sequence[str], *, allow_download: bool = True, small: bool
     resolved = _resolve_data(wanting or configs[0], allow_download)
     points = [_planned(config, resolved.dataset, resolved.folder) for config in configs]
     notices = [resolved.notice] if resolved.notice else []
-    notices += _idle_keys(grid.varying, points)
+    notices += _idle_keys([key for axis in grid.axes for key in axis.keys], points)
     stand_in = wanting is not None and resolved.dataset == "synthetic"
     return Plan(
         points=tuple(points),
@@ -299,13 +299,13 @@ def _digest(name: str, dataset: str, folder: Path | None, noise: float, seed: in
     return synthetic.digest(name, noise=noise, seed=seed)
 
 
-def _idle_keys(varying: Sequence[str], points: Sequence[PlannedPoint]) -> list[str]:
-    """Say which swept parameters change nothing, because no method in the plan uses them."""
+def _idle_keys(keys: Sequence[str], points: Sequence[PlannedPoint]) -> list[str]:
+    """Say which of the grid's parameters change nothing, because no method in the plan uses them."""
     from fracbench.methods.registry import get_method
     from fracbench.model.params import FlowParams
 
     used = set().union(*(get_method(planned.point.method).uses for planned in points))
-    names = [key.removeprefix("params.") for key in varying]
+    names = [key.removeprefix("params.") for key in keys]
     return [
         f"`{name}` does not affect the method" for name in names if name in FlowParams.names() and name not in used
     ]

@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from functools import partial
-from itertools import starmap
 from multiprocessing import connection
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -243,38 +242,6 @@ class _Place:
 
 _idle: list[_Place] = []
 atexit.register(_idle.clear)  # loky cannot be taken down after the modules that it needs
-
-
-def side_by_side(function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]], jobs: int) -> Iterator[Any]:
-    """Call `function` with each of some arguments, in processes of its own if `jobs` are more than one.
-
-    Parameters
-    ----------
-    function : callable
-        What to call.
-    arguments : sequence of tuple
-        A tuple a call.
-    jobs : int
-        Processes.
-
-    Yields
-    ------
-    object
-        What the calls return, in their order. What they raise is raised here.
-    """
-    if min(jobs, len(arguments)) < 2:
-        yield from starmap(function, arguments)
-        return
-    from joblib.externals.loky import ProcessPoolExecutor
-
-    executor = ProcessPoolExecutor(min(jobs, len(arguments)), env=dict.fromkeys(_THREADS, "1"))
-    try:
-        with _deaf_to_ctrl_c():
-            calls = [executor.submit(function, *each) for each in arguments]
-        for call in calls:
-            yield call.result()
-    finally:
-        executor.shutdown(wait=True, kill_workers=True)
 
 
 @contextmanager

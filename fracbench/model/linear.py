@@ -34,7 +34,7 @@ def system_diagonals(operator: GradientOperator, theta: float, mu: float) -> tup
     return 1.0 / theta + mu * ly, mu * lx
 
 
-def jacobi_sweep(u: Array, rhs: Array, ny: Array, nx: Array, theta: float, mu: float) -> Array:
+def jacobi_sweep(u: Array, rhs: Array, ny: Float64Array, nx: Float64Array, theta: float, mu: float) -> Array:
     """Return the next iterate of the fixed point that Algorithm 4 prints, with its signs corrected.
 
     Parameters

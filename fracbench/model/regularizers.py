@@ -187,9 +187,7 @@ class SplitBregman:
         if u_solver == "exact":
             self._system = system_diagonals(operator, theta, mu)
         elif not self._fused:
-            # A sweep sums in float64; the products of the fixed point have the precision of the flow.
-            dtype = np.float64 if u_solver == "gauss_seidel" else operator.dtype
-            self._ny, self._nx = (matrix.astype(dtype) for matrix in operator.normal_matrices())
+            self._ny, self._nx = operator.normal_matrices()
 
     def restart(self) -> None:
         """Set d and b to 0."""

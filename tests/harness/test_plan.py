@@ -407,12 +407,13 @@ def test_the_data_of_every_grid_count(middlebury_found):
 # -- notices and refusals ------------------------------------------------------------------------
 
 
-def test_a_swept_key_that_changes_nothing_is_remarked_upon():
+def test_a_key_that_changes_nothing_is_remarked_upon():
     made = plan("alpha=0,1", "method=tvl1", FLAT)
     assert made.notices == ("`alpha` does not affect the method",)
     assert len(made.points) == 2 and len(made.unique()) == 1
     assert plan("alpha=0,1", "method=tvl1,tvl1_sb_alpha", FLAT).notices == ()
     assert plan("params.tau=0.1,0.2", "method=tvl1_sb", FLAT).notices == ("`tau` does not affect the method",)
+    assert plan("texture=0.5", "method=tvl1_sb", FLAT).notices == ("`texture` does not affect the method",)
 
 
 @pytest.mark.parametrize(
