@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from fracbench.data.regions import Region, crop
+from fracbench.data.regions import Crop, Region, crop
 from fracbench.data.sequence import Sequence, load_sequence
 from fracbench.errors import FracbenchError, InputError
 from fracbench.evaluation.metrics import flow_errors
@@ -116,6 +116,7 @@ def _sequence(name: str, dataset: str, folder: Path | None, noise: float, seed: 
 
 
 _held: dict[str, Sequence] = {}
+_crops: dict[Any, Crop] = {}
 
 
 def hold(sequence: Sequence) -> None:
@@ -155,9 +156,14 @@ def point_arrays(point: Point, folder: Path | None) -> tuple[Any, Any, Any, tupl
     sequence = _sequence_of(point, folder)
     if point.box is None:
         return sequence.frame0, sequence.frame1, sequence.truth, (slice(None), slice(None))
-    row0, row1, col0, col1 = point.box
-    region = Region("box", sequence.name, (row0, row1), (col0, col1))
-    return crop(sequence, region, point.context)
+    key = sequence.digest, point.box, point.context
+    if key not in _crops:
+        row0, row1, col0, col1 = point.box
+        region = Region("box", sequence.name, (row0, row1), (col0, col1))
+        cut = crop(sequence, region, point.context)
+        _crops.clear()  # the points of a sweep come box by box
+        _crops[key] = cut
+    return _crops[key]
 
 
 def _sequence_of(point: Point, folder: Path | None) -> Sequence:

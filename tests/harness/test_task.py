@@ -89,6 +89,15 @@ def test_the_whole_frame_is_scored_without_a_box():
     assert frame0[inner].shape == frame0.shape == truth.shape[1:] == synthetic.scene("edge").shape
 
 
+def test_every_box_is_its_own_cut():
+    boxes = [((3, 70, 40, 100), 7), ((3, 70, 40, 100), 0), ((4, 71, 40, 100), 0)] * 2
+    whole = synthetic.scene("edge").frame0
+    for (row0, row1, col0, col1), context in boxes:
+        frame0, _, _, inner = point_arrays(a_point(box=(row0, row1, col0, col1), context=context), None)
+        np.testing.assert_array_equal(frame0[inner], whole[row0:row1, col0:col1])
+        assert frame0.shape[0] == row1 - row0 + min(row0, context) + context
+
+
 # -- how it is computed --------------------------------------------------------------------------
 
 
