@@ -62,12 +62,7 @@ def console_entry() -> NoReturn:
     from fracbench.harness.memory import return_what_is_freed
 
     return_what_is_freed()
-    code = main()
-    if "fracbench.harness.workers" in sys.modules:  # not imported for the sake of having nothing to do
-        from fracbench.harness.workers import dismiss
-
-        dismiss()
-    sys.exit(code)
+    sys.exit(main())
 
 
 def _build_parser() -> Parser:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fracbench import console
-from fracbench.errors import FracbenchError
 from fracbench.harness.experiment import Experiment, list_experiments, load_experiment
 from fracbench.harness.plan import Plan, plan_experiment
 from fracbench.harness.store import Store
@@ -103,33 +102,20 @@ def run_all(experiments: Mapping[str, Experiment], plans: Mapping[str, Plan], jo
     InputError
         Anything that the user can put right.
     """
+    from fracbench.harness.workers import side_by_side
     from fracbench.report.artefacts import require_renderer
 
     for experiment in experiments.values():
         require_renderer(experiment)
     done = compute(_together(plans), "report", jobs)
     console.say(f"{len(done.rows)} points, {done.computed} computed")
-    for name, files in zip(experiments, _drawn(experiments, plans, jobs), strict=True):
+    todo = [(experiment, plans[name], Path.cwd()) for name, experiment in experiments.items()]
+    drawn = side_by_side(_draw, todo, jobs, "all points are stored")
+    for name, files in zip(experiments, drawn, strict=True):
         folders = ", ".join(dict.fromkeys(str(path.parent) for path in files))
         console.say(f"{name}: {len(plans[name].unique())} points, wrote {len(files)} files in {folders}")
     say_failures(done)
     return len(done.failed)
-
-
-def _drawn(experiments: Mapping[str, Experiment], plans: Mapping[str, Plan], jobs: int) -> Iterator[list[Path]]:
-    """Write the artefacts side by side, and yield the files of each in order."""
-    from joblib import Parallel, delayed, parallel_config
-    from joblib.externals.loky.process_executor import BrokenProcessPool
-
-    with parallel_config("loky", inner_max_num_threads=1):
-        pool = Parallel(min(jobs, max(len(plans), 1)), return_as="generator", batch_size=1)
-        try:
-            yield from pool(delayed(_draw)(experiments[name], plans[name], Path.cwd()) for name in experiments)
-        except BrokenProcessPool as exc:
-            raise FracbenchError(
-                "a worker process died (out of memory, or a crash); all points are stored, and the same command "
-                "draws what is left"
-            ) from exc
 
 
 def _draw(experiment: Experiment, plan: Plan, folder: Path) -> list[Path]:

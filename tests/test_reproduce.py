@@ -78,6 +78,19 @@ def test_points_that_fail_are_told_and_the_rest_goes_on(paper, cli, monkeypatch)
     assert "6 of 6 points are not done (first: made up)" in done.err
 
 
+def test_a_process_that_dies_while_it_draws_is_one_line(paper, cli, monkeypatch):
+    def draw(experiment, plan, folder):
+        import os
+
+        os._exit(9)
+
+    monkeypatch.setattr(reproduce, "_draw", draw)
+    done = cli("report", "dataset=synthetic")
+    assert done.code != 0 and done.out == "6 points, 6 computed\n"
+    assert "a worker process died (out of memory, or a crash); all points are stored" in done.err
+    assert "Traceback" not in done.err
+
+
 def test_data_that_cannot_be_had_are_looked_for_once(paper, cli, no_middlebury, monkeypatch):
     asked = []
     plan = reproduce.plan_experiment

@@ -1,4 +1,4 @@
-"""Peak memory: of this process, where the system tells it, and of the arrays that a call makes."""
+"""Memory: the peak of this process, where the system tells it, and of a call's arrays; and what is given back."""
 
 from __future__ import annotations
 

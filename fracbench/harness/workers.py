@@ -1,29 +1,27 @@
-"""Worker processes on this machine: joblib's executor, one process a place."""
+"""Worker processes on this machine: joblib's, one a place."""
 
 from __future__ import annotations
 
-import atexit
 import enum
 import os
 import signal
 import threading
 import time
 import typing
-import warnings
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from functools import partial
 from multiprocessing import connection
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from fracbench.errors import FracbenchError
 from fracbench.harness import provenance, spool
 from fracbench.harness.job import Job
 from fracbench.harness.memory import return_what_is_freed
 from fracbench.harness.store import Row
+
+T = TypeVar("T")
 
 #: So many workers in a row may die before they are ready for a point.
 MAX_STILLBORN = 2
@@ -61,10 +59,9 @@ class Crew(Protocol):
 class LocalCrew:
     """Processes on this machine, one for each place.
 
-    Each place has an executor of its own, so that a death concerns one job and no other. A row comes by the
-    spool: a process that dies right after it has written one has lost nothing. Idle processes stay for the next
-    crew, as starting one takes a second. The time that a job may take is kept here, where nothing that it does can
-    stop the clock.
+    A death concerns one job and no other. A row comes by the spool: a process that dies right after it has written
+    one has lost nothing. Idle processes stay for the next crew, as starting one takes a second. The time that a
+    job may take is kept here, where nothing that it does can stop the clock.
 
     Parameters
     ----------
@@ -79,7 +76,7 @@ class LocalCrew:
     def __init__(self, jobs: int, folder: Path) -> None:
         self._jobs, self._folder = jobs, folder.resolve()
         self._busy: dict[Connection, _Place] = {}
-        self._rested: list[_Place] = []
+        self._spare: list[_Place] = []
         self._stillborn = 0
 
     def free(self) -> int:
@@ -89,7 +86,7 @@ class LocalCrew:
     def start(self, job: Job) -> None:
         """Start a job in an idle process, or in a new one."""
         while True:
-            place = self._rested.pop() if self._rested else _idle.pop() if _idle else _Place()
+            place = self._spare.pop() if self._spare else _idle.pop() if _idle else _Place()
             if place.give(job, self._folder):
                 self._busy[place.line] = place
                 return
@@ -122,7 +119,7 @@ class LocalCrew:
         if said is _Word.ENDED:
             self._stillborn = 0
             del self._busy[place.line]
-            self._rested.append(place)
+            self._spare.append(place)
             return [(place.job.key, spool.read(self._folder, place.job.key))]
         if isinstance(said, str):
             raise FracbenchError(said)
@@ -148,22 +145,48 @@ class LocalCrew:
     def close(self) -> None:
         """Kill the processes that have a job, which is given up."""
         _close(list(self._busy.values()))
-        for place in self._rested:
-            place.rest()
-        _idle.extend(self._rested)
-        self._busy, self._rested = {}, []
+        _idle.extend(self._spare)
+        self._busy, self._spare = {}, []
 
 
-def dismiss() -> None:
-    """Kill the idle processes: they have nothing to lose, and loky would wait for one after the other."""
-    _close(_idle)
-    _idle.clear()
+def side_by_side(
+    function: Callable[..., T], arguments: Sequence[tuple[Any, ...]], jobs: int, kept: str
+) -> Iterator[T]:
+    """Call a function with each of some arguments, in joblib's processes, and yield what it returns, in order.
+
+    Parameters
+    ----------
+    function : callable
+        What to call; in a process that may have been started in another folder.
+    arguments : sequence of tuple
+        A tuple a call.
+    jobs : int
+        Processes; the calls are made here if they are one.
+    kept : str
+        What is not lost if one of them dies, for the message.
+
+    Raises
+    ------
+    FracbenchError
+        A process died.
+    """
+    from joblib import Parallel, delayed, parallel_config
+    from joblib.externals.loky.process_executor import BrokenProcessPool
+
+    with parallel_config("loky", inner_max_num_threads=1):
+        pool = Parallel(min(jobs, max(len(arguments), 1)), return_as="generator", batch_size=1)
+        try:
+            yield from pool(delayed(function)(*each) for each in arguments)
+        except BrokenProcessPool as exc:
+            raise FracbenchError(
+                f"a worker process died (out of memory, or a crash); {kept}, and the same command goes on from "
+                "there"
+            ) from exc
 
 
 def _close(places: Sequence[_Place]) -> None:
-    with warnings.catch_warnings(), ThreadPoolExecutor(max(1, len(places))) as side_by_side:
-        warnings.simplefilter("ignore")  # that there is no `pgrep` to find the children of a worker
-        list(side_by_side.map(_Place.close, places))
+    for place in places:
+        place.close()
 
 
 class _Word(enum.Enum):
@@ -176,44 +199,38 @@ class _Word(enum.Enum):
 
 
 class _Place:
-    """One executor with one process, and a line to it.
+    """A process that computes the jobs which come over a line, and says over it how far it is.
 
-    The executor starts the process and takes it down. While a crew works, the process serves: jobs go to it, and
-    its words come back, over the line, which takes a fraction of the time that a task of the executor does. The
-    line breaks with the process.
+    A line takes a fraction of the time that a task of an executor does; it breaks with the process.
     """
 
     def __init__(self) -> None:
-        from joblib.externals.loky import ProcessPoolExecutor
         from joblib.externals.loky.backend import get_context
 
-        # loky ends a process that has grown by 100 MB when it rests, and says so if it is to serve again already.
-        warnings.filterwarnings("ignore", "A worker stopped while some jobs were given", UserWarning)
+        context = get_context("loky")
+        self.line, theirs = context.Pipe()
         threads = dict.fromkeys(_THREADS, "1")
-        self.line, theirs = get_context().Pipe()
-        mine = os.getpid(), theirs
-        self._executor = ProcessPoolExecutor(1, initializer=_get_ready, initargs=mine, env=threads)
-        self._submit(os.getpid)
-        theirs.close()  # or the line would not break
-        self._serving = self.ready = False
-        self._began: float | None = None
-
-    def _submit(self, function: Callable[[], Any]) -> None:
+        self._process = context.Process(target=_serve, args=(theirs, os.getpid()), daemon=True, env=threads)
         with _deaf_to_ctrl_c():
-            self._executor.submit(function)
+            self._process.start()
+        theirs.close()  # or the line would not break
+
+    @property
+    def pid(self) -> int:
+        """The process."""
+        pid: int = self._process.pid
+        return pid
 
     def give(self, job: Job, folder: Path) -> bool:
         """Start a job; False if the process has died while it was idle."""
-        from joblib.externals.loky.process_executor import BrokenProcessPool
+        from joblib.externals.loky.backend.reduction import dumps
 
+        self.job, self.ready = job, False
+        self._began: float | None = None
         try:
-            if not self._serving:
-                self._submit(partial(_serve, _compute, folder, os.getpid()))
-                self._serving, self.ready = True, False
-            self.line.send(job)
-        except (BrokenProcessPool, OSError):
+            self.line.send_bytes(dumps((_compute, job, folder)))
+        except OSError:
             return False
-        self.job = job
         return True
 
     def hear(self) -> _Word | str:
@@ -228,20 +245,15 @@ class _Place:
         allowed = self.job.timeout
         return self._began is not None and allowed is not None and time.monotonic() - self._began > allowed
 
-    def rest(self) -> None:
-        """Let the process serve no longer: the interpreter's exit would wait for it."""
-        self._serving = False
-        with suppress(OSError):
-            self.line.send(None)
-
     def close(self) -> None:
         """Kill the process."""
-        self._executor.shutdown(wait=True, kill_workers=True)
+        if self._process.exitcode is None:
+            os.kill(self.pid, getattr(signal, "SIGKILL", signal.SIGTERM))
+        self._process.join()
         self.line.close()
 
 
 _idle: list[_Place] = []
-atexit.register(_idle.clear)  # loky cannot be taken down after the modules that it needs
 
 
 @contextmanager
@@ -263,31 +275,30 @@ def _deaf_to_ctrl_c() -> Iterator[None]:
 _line: Connection  # a worker's, to its parent
 
 
-def _get_ready(parent: int, line: Connection) -> None:
-    """In a worker: see to it that it ends with its parent, and import what points need."""
+def _serve(line: Connection, parent: int) -> None:
+    """In a worker: compute the jobs that come over the line until it ends, or the parent does."""
     global _line
     _line = line
     return_what_is_freed()
     threading.Thread(target=_end_with, args=(parent,), name="parent", daemon=True).start()
     from fracbench.harness import task  # noqa: F401
 
+    with suppress(EOFError, OSError):
+        while True:
+            compute, job, folder = line.recv()
+            line.send(_Word.READY)
+            try:
+                compute(job, folder, parent)
+            except BaseException as exc:
+                line.send(_explain(exc, folder))
+            else:
+                line.send(_Word.ENDED)
+
 
 def _end_with(parent: int) -> None:
     while os.getppid() == parent:
         time.sleep(_LOOK_SECONDS)
     os._exit(1)
-
-
-def _serve(compute: Callable[[Job, Path, int], None], folder: Path, parent: int) -> None:
-    """In a worker: take jobs from the line and compute them, until there is None."""
-    _line.send(_Word.READY)
-    while (job := _line.recv()) is not None:
-        try:
-            compute(job, folder, parent)
-        except BaseException as exc:
-            _line.send(_explain(exc, folder))
-        else:
-            _line.send(_Word.ENDED)
 
 
 def _compute(job: Job, folder: Path, parent: int) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fracbench.errors import FracbenchError, InputError
+from fracbench.errors import InputError
 from fracbench.harness.experiment import Experiment
 from fracbench.harness.oracle import compute_oracle, load_maps, load_oracle, oracle_file
 from fracbench.harness.plan import Plan
@@ -121,31 +121,22 @@ def _oracle_points(plan: Plan) -> dict[str, list[Point]]:
 
 def _compute_missing(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> None:
     """Compute the bounds of the sequences whose points are all done; a kept one is not computed again."""
-    from joblib import Parallel, delayed, parallel_config
-    from joblib.externals.loky.process_executor import BrokenProcessPool
-
     from fracbench import console
+    from fracbench.harness.workers import side_by_side
 
     flows, folder = (tables.ensure_folder(results / RUNS / name).resolve() for name in ("flows", "oracles"))
     window = options(experiment).window
     todo = [
-        points
+        (points, plan.folder, flows, window, folder)
         for points in _oracle_points(plan).values()
         if all(point.key in rows and rows[point.key].status == "done" for point in points)
         and not oracle_file(points, window, folder).is_file()
     ]
-    jobs = min(plan.config.parallel.jobs, max(len(todo), 1))
-    with console.progress(len(todo), "bounds") as advance, parallel_config("loky", inner_max_num_threads=1):
-        pool = Parallel(jobs, return_as="generator_unordered", batch_size=1)
-        calls = (delayed(compute_oracle)(points, plan.folder, flows, window, folder) for points in todo)
-        try:
-            for _ in pool(calls):
-                advance()
-        except BrokenProcessPool as exc:
-            raise FracbenchError(
-                "a worker process died (out of memory, or a crash); the bounds that are finished are kept, and "
-                "the same command goes on from there"
-            ) from exc
+    with console.progress(len(todo), "bounds") as advance:
+        for _ in side_by_side(
+            compute_oracle, todo, plan.config.parallel.jobs, "the bounds that are finished are kept"
+        ):
+            advance()
 
 
 def wide(table: pd.DataFrame, column: str) -> pd.DataFrame:

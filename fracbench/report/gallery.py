@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from fracbench.data.files import read_flow, write_flow
 from fracbench.data.sequence import list_sequences
-from fracbench.errors import FracbenchError
 from fracbench.evaluation.metrics import endpoint_error, flow_errors
 from fracbench.harness.plan import Plan, make_plan
 from fracbench.harness.point import Point
@@ -105,24 +104,16 @@ def _computed(points: Sequence[Point], folder: Path | None, cache: Path, jobs: i
     The harness has no part in this: it keeps numbers, and these points' are in its store already. A flow is a file
     that is there whole or not at all, so whatever stops this, the next call goes on from there.
     """
-    from joblib import Parallel, delayed, parallel_config
-    from joblib.externals.loky.process_executor import BrokenProcessPool
-
     from fracbench import console
+    from fracbench.harness.workers import side_by_side
     from fracbench.report.tables import ensure_folder
 
-    cache = ensure_folder(cache).resolve()  # a worker may have been started in another folder
-    todo = {path: point for point in points if not (path := flow_file(point, cache)).is_file()}
-    with console.progress(len(todo), "flows") as advance, parallel_config("loky", inner_max_num_threads=1):
-        pool = Parallel(min(jobs, max(len(todo), 1)), return_as="generator_unordered", batch_size=1)
-        try:
-            for _ in pool(delayed(_compute)(point, folder, path) for path, point in todo.items()):
-                advance()
-        except BrokenProcessPool as exc:
-            raise FracbenchError(
-                "a worker process died (out of memory, or a crash); the flows that are finished are kept, and the "
-                "same command goes on from there"
-            ) from exc
+    cache = ensure_folder(cache).resolve()
+    wanted = {flow_file(point, cache): point for point in points}
+    todo = [(point, folder, path) for path, point in wanted.items() if not path.is_file()]
+    with console.progress(len(todo), "flows") as advance:
+        for _ in side_by_side(_compute, todo, jobs, "the flows that are finished are kept"):
+            advance()
     return cache
 
 

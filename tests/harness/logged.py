@@ -16,7 +16,7 @@ from fracbench.harness import workers
 
 
 def install(log: Path, seconds: float) -> None:
-    def get_ready(parent, line):  # both reach the workers by value
+    def serve(line, parent):  # both reach the workers by value
         import sys
         import time
         from types import SimpleNamespace
@@ -40,7 +40,7 @@ def install(log: Path, seconds: float) -> None:
             return Outcome("done", None, made_up, 0.1, None, {"host": "here"})
 
         sys.modules["fracbench.harness.task"] = SimpleNamespace(run_point=run_point)
-        workers._get_ready(parent, line)
+        workers._serve(line, parent)
 
     def compute(job, folder, parent):
         import os
@@ -55,7 +55,7 @@ def install(log: Path, seconds: float) -> None:
         workers._compute(job, folder, parent)
         say("end")
 
-    workers._get_ready, workers._compute = get_ready, compute
+    workers._serve, workers._compute = serve, compute
 
 
 if __name__ == "__main__":

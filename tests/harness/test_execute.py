@@ -355,7 +355,7 @@ def test_what_was_finished_as_the_time_ended_is_kept(store, fake_rows):
 def test_a_worker_that_dies_while_it_is_idle_costs_nothing(store, monkeypatch, noticed):
     replace_point(monkeypatch, lambda point, finish: finish())
     execute.run(plan("alpha=0"), store, jobs=1)
-    (pid,) = workers._idle[-1]._executor._processes
+    pid = workers._idle[-1].pid
     os.kill(pid, signal.SIGKILL)
     if noticed:
         while _alive(pid):
@@ -364,18 +364,13 @@ def test_a_worker_that_dies_while_it_is_idle_costs_nothing(store, monkeypatch, n
     assert [(row.status, row.attempts) for row in report.rows.values()] == [("done", 1)]
 
 
-def test_a_worker_that_loky_replaces_costs_nothing(store, monkeypatch):
-    """As it does after a sweep with one that has grown; the new one, too, ends with its parent, deaf to Ctrl-C."""
-    pytest.importorskip("psutil", reason="without it loky replaces no worker")
+def test_a_worker_serves_one_sweep_after_another(store, monkeypatch):
+    """It is not started again, watches its parent and is deaf to Ctrl-C all the time."""
 
     def instead(point, finish):
         import signal
         import threading
 
-        from joblib.externals.loky import process_executor
-
-        process_executor._MAX_MEMORY_LEAK_SIZE = -(2**40)
-        process_executor._MEMORY_LEAK_CHECK_DELAY = 0.0
         watched = any(thread.name == "parent" for thread in threading.enumerate())
         deaf = signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
         return finish() if watched and deaf else finish("failed", f"watched: {watched}, deaf: {deaf}")
@@ -383,16 +378,13 @@ def test_a_worker_that_loky_replaces_costs_nothing(store, monkeypatch):
     replace_point(monkeypatch, instead)
     monkeypatch.setattr(workers, "_idle", [])
     pids = set()
-    for alphas in ("alpha=0,0.5,1", "alpha=1.5,2"):
-        report = execute.run(plan(alphas), store, jobs=1)
+    for alpha in ("0", "0.5", "1"):
+        report = execute.run(plan(f"alpha={alpha}"), store, jobs=1)
         assert {(row.error, row.attempts) for row in report.rows.values()} == {(None, 1)}
-        (place,) = workers._idle
-        pids |= set(place._executor._processes)
-        if len(pids) == 1:
-            while any(map(_alive, pids)):
-                time.sleep(0.05)
-    workers.dismiss()
-    assert workers._idle == [] and len(pids) == 2 and not any(map(_alive, pids))
+        pids |= {place.pid for place in workers._idle}
+    assert len(pids) == 1
+    workers._idle[0].close()
+    assert not any(map(_alive, pids))
 
 
 # -- what was finished without being stored, and sweeps at once -----------------------------------
@@ -579,12 +571,12 @@ def test_one_job_means_one_point_at_a_time(store, monkeypatch, tmp_path):
 
 
 def test_workers_that_die_before_they_begin_end_the_sweep(store, monkeypatch):
-    def get_ready(parent, line):
+    def serve(line, parent):
         import os
 
         os._exit(9)
 
-    monkeypatch.setattr(workers, "_get_ready", get_ready)
+    monkeypatch.setattr(workers, "_serve", serve)
     monkeypatch.setattr(workers, "_idle", [])
     with pytest.raises(FracbenchError, match="die before they begin"):
         execute.run(plan("alpha=0,1"), store, jobs=2)
