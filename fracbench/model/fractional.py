@@ -146,6 +146,16 @@ def _weigh_after(x: Array, weights: Array, axis: int, out: Array) -> None:
                     out[i, j] += weights[k] * x[i + k, j]
 
 
+@jit
+def _weigh_right_hand_side(v: Array, theta: float, mu: float, y: Array, x: Array) -> None:
+    """Write ``v / theta + mu (x + y)`` to `x`."""
+    real = x.dtype.type  # or all would be computed in float64
+    data, penalty = real(1.0 / theta), real(mu)
+    for i in range(len(x)):
+        for j in range(x.shape[1]):
+            x[i, j] = data * v[i, j] + penalty * (x[i, j] + y[i, j])
+
+
 class ZeroGradient(GradientOperator):
     """Left derivatives of u extended by 0: the operator of Algorithm 4.
 
@@ -184,15 +194,15 @@ class ZeroGradient(GradientOperator):
 
     def adjoint(self, d: Array) -> Array:
         x, y = np.empty((2, *self.shape), self.dtype)
-        self._adjoint(d, x, y)
+        self._adjoints(d, x, y)
+        x += y
         return x
 
-    def _adjoint(self, d: Array, x: Array, y: Array) -> None:
-        """Write the adjoint of `d` to `x`; `y` is overwritten."""
+    def _adjoints(self, d: Array, x: Array, y: Array) -> None:
+        """Write the adjoints of the derivatives along x and y to `x` and `y`; `y` may be the former's plane."""
         height, width = self.shape
         self._dx.adjoint(d[0, 0, :height], 1, x)
         self._dy.adjoint(d[0, 1, :, :width], 0, y)
-        x += y
 
     def to_basis(self, u: Array) -> Array:
         return self._qy.T @ u @ self._qx
@@ -205,10 +215,8 @@ class ZeroGradient(GradientOperator):
     ) -> None:
         height, width = self.shape
         y = w[0, 0, :height, :width]  # free once its adjoint is taken
-        self._adjoint(w, u, y)
-        u *= self.dtype.type(mu)
-        np.multiply(v, self.dtype.type(1.0 / theta), out=y)
-        u += y
+        self._adjoints(w, u, y)
+        _weigh_right_hand_side(v, theta, mu, y, u)
         if self.alpha == 0.0:  # the operator is the identity, in any basis
             divide_by_sum(u, *system)
         else:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -169,15 +168,17 @@ def shrink_difference(z: Array, threshold: Any, w: Array, start: int, stop: int)
         The rows to take.
     """
     pairs, _, _, width = z.shape
+    real = z.dtype.type  # or all would be computed in float64
+    one, two = real(1.0), real(2.0)
     for p in range(pairs):
         for i in range(start, stop):
             for j in range(width):
                 zx, zy = z[p, 0, i, j], z[p, 1, i, j]
-                norm = math.sqrt(zx * zx + zy * zy)
-                limit = weight_at(threshold, p, pairs, i, j)
-                kept = 1.0 if norm <= limit else limit / norm
-                w[p, 0, i, j] = (1.0 - 2.0 * kept) * zx
-                w[p, 1, i, j] = (1.0 - 2.0 * kept) * zy
+                norm = np.sqrt(zx * zx + zy * zy)
+                limit = real(weight_at(threshold, p, pairs, i, j))
+                kept = one if norm <= limit else limit / norm
+                w[p, 0, i, j] = (one - two * kept) * zx
+                w[p, 1, i, j] = (one - two * kept) * zy
 
 
 @jit
@@ -198,17 +199,18 @@ def bregman_update(du: Array, threshold: Any, relaxation: float, z: Array, start
         The rows to take.
     """
     pairs, _, _, width = z.shape
-    rest = 1.0 - relaxation
+    real = z.dtype.type  # or all would be computed in float64
+    one, new, old = real(1.0), real(relaxation), real(1.0 - relaxation)
     for p in range(pairs):
         for i in range(start, stop):
             for j in range(width):
                 zx, zy = z[p, 0, i, j], z[p, 1, i, j]
-                norm = math.sqrt(zx * zx + zy * zy)
-                limit = weight_at(threshold, p, pairs, i, j)
-                kept = 1.0 if norm <= limit else limit / norm
-                share = kept + rest * (1.0 - kept)  # b is kept z and d the rest of z
-                z[p, 0, i, j] = relaxation * du[p, 0, i, j] + share * zx
-                z[p, 1, i, j] = relaxation * du[p, 1, i, j] + share * zy
+                norm = np.sqrt(zx * zx + zy * zy)
+                limit = real(weight_at(threshold, p, pairs, i, j))
+                kept = one if norm <= limit else limit / norm
+                share = kept + old * (one - kept)  # b is kept z and d the rest of z
+                z[p, 0, i, j] = new * du[p, 0, i, j] + share * zx
+                z[p, 1, i, j] = new * du[p, 1, i, j] + share * zy
 
 
 @jit
@@ -222,20 +224,19 @@ def divide_by_sum(x: Array, along_y: Array, along_x: Array) -> None:
     along_y, along_x : ndarray, shapes (H,) and (W,), float64
         From `system_diagonals`.
     """
-    height, width = x.shape
-    real = x.dtype.type
-    for i in range(height):
-        for j in range(width):
-            x[i, j] *= real(1.0 / (along_y[i] + along_x[j]))
+    ys, xs = along_y.astype(x.dtype), along_x.astype(x.dtype)  # or all would be computed in float64
+    for i in range(len(x)):
+        for j in range(x.shape[1]):
+            x[i, j] /= ys[i] + xs[j]
 
 
 @jit
 def add_and_divide(x: Array, y: Array, along_y: Array, along_x: Array, start: int, stop: int) -> None:
     """Write ``(x + y) / (along_y(i) + along_x(j))`` to `x`, rows ``start..stop-1``; see `divide_by_sum`."""
-    real = x.dtype.type
+    ys, xs = along_y.astype(x.dtype), along_x.astype(x.dtype)  # or all would be computed in float64
     for i in range(start, stop):
         for j in range(x.shape[1]):
-            x[i, j] = real(1.0 / (along_y[i] + along_x[j])) * (x[i, j] + y[i, j])
+            x[i, j] = (x[i, j] + y[i, j]) / (ys[i] + xs[j])
 
 
 @jit
