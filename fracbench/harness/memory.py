@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-_M_MMAP_THRESHOLD = -3  # of glibc's mallopt
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # of glibc's mallopt
 _LARGE = 2**22
 
 _CLEAR = Path("/proc/self/clear_refs")
@@ -50,10 +50,12 @@ def return_what_is_freed() -> None:
     """Let this process give large arrays back to the system as they are freed (glibc; nothing elsewhere).
 
     Else glibc keeps what coarser scales have freed, in pieces too small for the next, which adds a tenth to the
-    peak of a flow.
+    peak of a flow. The room of smaller ones it keeps: a page that is given back and taken again costs more than
+    what is computed on it.
     """
     with suppress(OSError, AttributeError, TypeError):  # another C library, another system
-        ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, _LARGE)
+        for threshold in (_M_MMAP_THRESHOLD, _M_TRIM_THRESHOLD):
+            ctypes.CDLL(None).mallopt(threshold, _LARGE)
 
 
 def array_bytes(work: Callable[[], object]) -> int:

@@ -90,7 +90,7 @@ class LocalCrew:
             if place.give(job, self._folder):
                 self._busy[place.line] = place
                 return
-            _close([place])  # it died while it was idle
+            place.close()  # it died while it was idle
 
     def wait(self, seconds: float) -> list[tuple[str, Row | None]]:
         """Return the keys of jobs that ended or took too long, with their rows; no row if the process died.
@@ -127,7 +127,7 @@ class LocalCrew:
 
     def _bury(self, place: _Place) -> list[tuple[str, Row | None]]:
         del self._busy[place.line]
-        _close([place])
+        place.close()
         if place.ready:
             self._stillborn = 0
             return [(place.job.key, spool.read(self._folder, place.job.key))]
@@ -139,12 +139,13 @@ class LocalCrew:
 
     def _give_up(self, place: _Place) -> tuple[str, Row]:
         del self._busy[place.line]
-        _close([place])
+        place.close()
         return place.job.key, spool.read(self._folder, place.job.key) or place.job.expired(provenance.machine())
 
     def close(self) -> None:
         """Kill the processes that have a job, which is given up."""
-        _close(list(self._busy.values()))
+        for place in self._busy.values():
+            place.close()
         _idle.extend(self._spare)
         self._busy, self._spare = {}, []
 
@@ -182,11 +183,6 @@ def side_by_side(
                 f"a worker process died (out of memory, or a crash); {kept}, and the same command goes on from "
                 "there"
             ) from exc
-
-
-def _close(places: Sequence[_Place]) -> None:
-    for place in places:
-        place.close()
 
 
 class _Word(enum.Enum):

@@ -26,6 +26,20 @@ print(peak_mib())
 """
 
 
+FAULTS = """
+import resource
+import numpy as np
+from fracbench.harness.memory import return_what_is_freed
+return_what_is_freed()
+holes = np.ones(2**18)  # what imports have freed, filled
+before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+for _ in range(100):
+    arrays = [np.ones(10**5) for _ in range(3)]
+    del arrays
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+"""
+
+
 def test_arrays_are_counted_at_their_peak():
     def work():
         for _ in range(2):
@@ -50,6 +64,11 @@ def test_what_is_freed_is_given_back():
         for give in (False, True)
     )
     assert given < (kept - 30 if platform.libc_ver()[0] == "glibc" else kept + 1)
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library, which is left alone")
+def test_pages_of_small_arrays_are_not_taken_anew_each_time():
+    assert int(subprocess.check_output([sys.executable, "-c", FAULTS])) < 10_000  # three arrays are 600
 
 
 def test_another_c_library_is_left_alone(monkeypatch):
