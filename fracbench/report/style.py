@@ -303,7 +303,7 @@ def render(fig: Figure, fmt: str) -> bytes:
     with house_style():
         if fig.get_layout_engine() is not None:
             fig.draw_without_rendering()
-            fig.set_layout_engine("none")
+            fig.set_layout_engine(None)  # "none" would leave another, for which each file is drawn twice
         fig.savefig(buffer, format=fmt, metadata=_METADATA[fmt])
     photographs = any(ax.images for ax in fig.axes)
     return _slim(buffer.getvalue()) if fmt == "png" and not photographs else buffer.getvalue()
