@@ -90,10 +90,12 @@ class Tables:
         table = self._known[experiment]
         if table is None:
             raise UnjudgeableError(f"there are no results of {experiment}")
+        chosen = np.ones(len(table), bool)
         for column, value in where.items():
             if column not in table:
                 raise UnjudgeableError(f"{experiment} has no column {column}")
-            table = table[table[column] == value]
+            chosen &= (table[column] == value).to_numpy(bool)
+        table = table[chosen]
         if table.empty:
             wanted = ", ".join(f"{column} {value}" for column, value in where.items())
             raise UnjudgeableError(f"{experiment} has no points with {wanted}")
