@@ -41,7 +41,7 @@ class Circumstance:
     environment : mapping of str to str
         Variables that bring it about.
     threads : int
-        Threads of BLAS and of the solver.
+        Threads of the solver; BLAS has one.
     dtype : str
         Precision; empty for the points' own.
     kernel : str
@@ -191,9 +191,15 @@ def _labelled(plan: Plan, results: Results, tabulate: Tabulate) -> dict[str, dic
 
 def _in_a_process(name: str, circumstance: Circumstance) -> Results | None:
     """Return the results of a table's points by key, or None where the circumstance cannot be had."""
-    threads = str(circumstance.threads)
-    limits = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), threads)
-    command = [sys.executable, "-m", "fracbench.harness.spread", name, threads, circumstance.dtype]
+    limits = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    command = [
+        sys.executable,
+        "-m",
+        "fracbench.harness.spread",
+        name,
+        str(circumstance.threads),
+        circumstance.dtype,
+    ]
     environment = {**os.environ, **limits, **circumstance.environment}
     done = subprocess.run(command, env=environment, capture_output=True, text=True)
     if done.returncode != 0:  # kernels for a processor that this one is not end the process
@@ -213,7 +219,7 @@ def results_of(plan: Plan, threads: int, dtype: str) -> dict[str, dict[str, Any]
     plan : Plan
         The points.
     threads : int
-        Threads of BLAS and of the solver.
+        Threads of the solver; BLAS has one.
     dtype : str
         Precision; empty for the points' own.
 
@@ -233,7 +239,7 @@ def results_of(plan: Plan, threads: int, dtype: str) -> dict[str, dict[str, Any]
     from fracbench.model.threads import use_threads
 
     found = {}
-    with use_threads(threads), threadpool_limits(threads):
+    with use_threads(threads), threadpool_limits(1):  # as `estimate_flow` does
         for key, point in plan.unique().items():
             frame0, frame1, truth, inner = point_arrays(point, plan.folder)
             params = FlowParams().replace(point.params).replace({"dtype": dtype} if dtype else {})
