@@ -213,7 +213,7 @@ class _Place:
 
     @property
     def pid(self) -> int:
-        """The process."""
+        """The number that the system gives the process."""
         pid: int = self._process.pid
         return pid
 
