@@ -50,7 +50,8 @@ def answer_table(sources: Sources) -> pd.DataFrame:
     Returns
     -------
     pandas.DataFrame
-        ``panel`` (``alpha``: the order with the smallest AEPE; ``aepe``: TV-L1-SB's in Table 2, pixels),
+        ``panel`` (``alpha``: the order with the smallest AEPE, at the lambda_SB of the paper's captions;
+        ``aepe``: TV-L1-SB's in Table 2, pixels),
         ``place`` (region or sequence), ``source``, ``value``, and for alpha the range within 2 % of the best,
         ``low`` to ``high``.
 
@@ -101,7 +102,8 @@ def answer_figure(table: pd.DataFrame, title: str) -> Figure:
         _draw_marks(right, table[table["panel"] == "aepe"])
         left.set(
             xlim=(-0.1, 2.1),
-            xlabel=f"{style.axis_label('alpha')} with the smallest AEPE\n(bar: within {FLAT:.0%} of it)",
+            xlabel=f"{style.symbol('alpha')} with the smallest AEPE at the paper's {style.symbol('lambda_sb')}\n"
+            f"(bar: within {FLAT:.0%} of it)",
         )
         right.set(xlabel="AEPE of TV-L1-SB in Table 2 [px]", xscale="log")
         style.plain_ticks(right.xaxis, (1.0, 2.0, 5.0))
