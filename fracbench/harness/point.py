@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from fracbench.harness.store import canonical_json
@@ -72,7 +73,7 @@ class Point:
         """SHA-256 of the canonical form alone."""
         return _sha256(self.spec)
 
-    @property
+    @cached_property
     def key(self) -> str:
         """SHA-256 of the canonical form, the data and the solver's version: the key in the store."""
         return _sha256({"spec": self.spec, "data": self.data_digest, "solver_version": SOLVER_VERSION})
