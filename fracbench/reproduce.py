@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from fracbench import console
 from fracbench.harness.experiment import Experiment, list_experiments, load_experiment
@@ -55,7 +55,10 @@ def report(
     InputError
         Anything that the user can put right.
     """
+    from fracbench.harness.workers import side_by_side
+    from fracbench.report.artefacts import require_renderer
     from fracbench.report.beyond import EXPERIMENTS
+    from fracbench.report.gallery import compute_flow, missing_flows
     from fracbench.report.html import write_report
     from fracbench.report.sources import Sources
 
@@ -74,48 +77,31 @@ def report(
     if dry_run:
         announce(_together(plans), start.config.results, workers)
         return 0
-    failed = run_all(experiments, plans, workers)
-    sources = Sources(start.config.results, settings, small, plans)
-    for line in [] if beyond else write_verdicts(sources):  # which are the paper's alone
-        console.say(line)
-    console.say(f"wrote {write_report(sources)}")
-    return failed
-
-
-def run_all(experiments: Mapping[str, Experiment], plans: Mapping[str, Plan], jobs: int) -> int:
-    """Run what is missing of some experiments together, then write their artefacts, one line each.
-
-    Parameters
-    ----------
-    experiments, plans : mapping
-        By name, in order.
-    jobs : int
-        Worker processes, for points and then for artefacts.
-
-    Returns
-    -------
-    int
-        How many points are not done.
-
-    Raises
-    ------
-    InputError
-        Anything that the user can put right.
-    """
-    from fracbench.harness.workers import side_by_side
-    from fracbench.report.artefacts import require_renderer
-
     for experiment in experiments.values():
         require_renderer(experiment)
-    done = compute(_together(plans), "report", jobs)
+    done = compute(_together(plans), "report", workers)
     console.say(f"{len(done.rows)} points, {done.computed} computed")
-    todo = [(experiment, plans[name], Path.cwd()) for name, experiment in experiments.items()]
-    drawn = side_by_side(_draw, todo, jobs, "all points are stored")
-    for name, files in zip(experiments, drawn, strict=True):
+    sources = Sources(start.config.results, settings, small, plans)
+    drawing = [(_draw, experiment, plans[name], Path.cwd()) for name, experiment in experiments.items()]
+    flows = [(compute_flow, *flow) for flow in missing_flows(sources)]
+    finished = side_by_side(_call, [*drawing, *flows], workers, "all points are stored")
+    verdicts = [] if beyond else write_verdicts(sources)  # which are the paper's alone; meanwhile others draw
+    for name, plan in plans.items():
+        files = next(finished)
         folders = ", ".join(dict.fromkeys(str(path.parent) for path in files))
-        console.say(f"{name}: {len(plans[name].unique())} points, wrote {len(files)} files in {folders}")
+        console.say(f"{name}: {len(plan.unique())} points, wrote {len(files)} files in {folders}")
+    with console.progress(len(flows), "flows") as advance:
+        for _ in finished:
+            advance()
     say_failures(done)
+    for line in verdicts:
+        console.say(line)
+    console.say(f"wrote {write_report(sources)}")
     return len(done.failed)
+
+
+def _call(function: Callable[..., Any], *arguments: Any) -> Any:
+    return function(*arguments)
 
 
 def _draw(experiment: Experiment, plan: Plan, folder: Path) -> list[Path]:

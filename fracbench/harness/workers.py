@@ -153,7 +153,7 @@ class LocalCrew:
 def side_by_side(
     function: Callable[..., T], arguments: Sequence[tuple[Any, ...]], jobs: int, kept: str
 ) -> Iterator[T]:
-    """Call a function with each of some arguments, in joblib's processes, and yield what it returns, in order.
+    """Call a function with each of some arguments in joblib's processes, from now on; yield the results in order.
 
     Parameters
     ----------
@@ -162,7 +162,7 @@ def side_by_side(
     arguments : sequence of tuple
         A tuple a call.
     jobs : int
-        Processes; the calls are made here if they are one.
+        Processes; if they are one, the calls are made here, each as its result is asked for.
     kept : str
         What is not lost if one of them dies, for the message.
 
@@ -172,17 +172,21 @@ def side_by_side(
         A process died.
     """
     from joblib import Parallel, delayed, parallel_config
-    from joblib.externals.loky.process_executor import BrokenProcessPool
 
     with parallel_config("loky", inner_max_num_threads=1):
         pool = Parallel(min(jobs, max(len(arguments), 1)), return_as="generator", batch_size=1)
-        try:
-            yield from pool(delayed(function)(*each) for each in arguments)
-        except BrokenProcessPool as exc:
-            raise FracbenchError(
-                f"a worker process died (out of memory, or a crash); {kept}, and the same command goes on from "
-                "there"
-            ) from exc
+    return _outcomes(pool(delayed(function)(*each) for each in arguments), kept)
+
+
+def _outcomes(outcomes: Iterator[T], kept: str) -> Iterator[T]:
+    from joblib.externals.loky.process_executor import BrokenProcessPool
+
+    try:
+        yield from outcomes
+    except BrokenProcessPool as exc:
+        raise FracbenchError(
+            f"a worker process died (out of memory, or a crash); {kept}, and the same command goes on from there"
+        ) from exc
 
 
 class _Word(enum.Enum):

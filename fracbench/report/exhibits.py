@@ -18,7 +18,7 @@ from fracbench.report.blocks import (
     demoted,
     embedded_file,
 )
-from fracbench.report.gallery import gallery, scenes, shared_scale
+from fracbench.report.gallery import gallery, missing_flows, scenes, shared_scale
 from fracbench.report.sources import PROTOCOLS, SUFFIXES, Source, Sources
 
 
@@ -141,14 +141,18 @@ def _figure(source: Source, path: Path, variant: str) -> Picture:
 
 def pictures(sources: Sources) -> Section:
     """Return frames, flows and error maps of each sequence."""
-    shown = scenes(sources)
-    top = shared_scale(shown)
     intro = (
         "Each sequence as the methods see it, the true flow, and three flows with Table 2's λ and θ; below each "
         "flow, where it errs. Flows of a sequence share one scale of colours, a little wider than the true "
         "motion is fast."
     )
     blocks: list[Block] = [Text(intro)]
+    absent = missing_flows(sources)
+    if absent:
+        words = ["fracbench report", *sources.settings, *(["--small"] if sources.small else [])]
+        blocks.append(Missing(f"{len(absent)} flows", " ".join(words)))
+    shown = [] if absent else scenes(sources)
+    top = shared_scale(shown)
     for scene in shown:
         blocks.append(Heading(scene.name, f"pictures-{scene.name.replace(' ', '-')}"))
         blocks.append(gallery(scene, top))

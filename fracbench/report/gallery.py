@@ -50,7 +50,7 @@ class Scene:
 
 
 def scenes(sources: Sources) -> list[Scene]:
-    """Return the sequences of Table 2 with their flows, which are computed now unless they were before.
+    """Return the sequences of Table 2 with their flows, which `compute_flow` has left.
 
     Parameters
     ----------
@@ -64,17 +64,31 @@ def scenes(sources: Sources) -> list[Scene]:
 
     Raises
     ------
-    FracbenchError
-        Data that cannot be read, a folder that cannot be written, a worker process that dies.
+    InputError
+        Data or flows that cannot be read.
     """
     source = sources.get("table2")
     if source is None:
         return []
-    shown = _shown(source.plan, sources)
-    folder = source.plan.folder
-    points = [point for _, entries in shown for _, point in entries]
-    cache = _computed(points, folder, sources.results / RUNS / "flows", source.plan.config.parallel.jobs)
-    return [_scene(name, entries, folder, cache) for name, entries in shown]
+    return [
+        _scene(name, entries, source.plan.folder, _cache(sources))
+        for name, entries in _shown(source.plan, sources)
+    ]
+
+
+def missing_flows(sources: Sources) -> list[tuple[Point, Path | None, Path]]:
+    """Return what `compute_flow` has to be called with before `scenes`: a tuple a flow."""
+    source = sources.get("table2")
+    if source is None:
+        return []
+    cache = _cache(sources)
+    points = [point for _, entries in _shown(source.plan, sources) for _, point in entries]
+    wanted = {flow_file(point, cache): point for point in points}
+    return [(point, source.plan.folder, path) for path, point in wanted.items() if not path.is_file()]
+
+
+def _cache(sources: Sources) -> Path:
+    return sources.results.resolve() / RUNS / "flows"
 
 
 def _shown(plan: Plan, sources: Sources) -> list[tuple[str, list[tuple[str, Point]]]]:
@@ -98,40 +112,41 @@ def _shown(plan: Plan, sources: Sources) -> list[tuple[str, list[tuple[str, Poin
     return list(entries.items())
 
 
-def _computed(points: Sequence[Point], folder: Path | None, cache: Path, jobs: int) -> Path:
-    """Compute the flows that the folder `cache` does not hold, and return it.
-
-    The harness has no part in this: it keeps numbers, and these points' are in its store already. A flow is a file
-    that is there whole or not at all, so whatever stops this, the next call goes on from there.
-    """
-    from fracbench import console
-    from fracbench.harness.workers import side_by_side
-    from fracbench.report.tables import ensure_folder
-
-    cache = ensure_folder(cache).resolve()
-    wanted = {flow_file(point, cache): point for point in points}
-    todo = [(point, folder, path) for path, point in wanted.items() if not path.is_file()]
-    with console.progress(len(todo), "flows") as advance:
-        for _ in side_by_side(_compute, todo, jobs, "the flows that are finished are kept"):
-            advance()
-    return cache
-
-
 def flow_file(point: Point, cache: Path) -> Path:
     """Return where a point's flow is kept: the name changes with everything that the flow depends on."""
     return cache / f"{point.key}.flo"
 
 
-def _compute(point: Point, folder: Path | None, path: Path) -> None:
+def compute_flow(point: Point, folder: Path | None, path: Path) -> None:
+    """Compute the flow of a point and write it; see `missing_flows`.
+
+    The harness has no part in this: it keeps numbers, and most of these points' are in its store already. A flow
+    is a file that is there whole or not at all.
+
+    Parameters
+    ----------
+    point : Point
+        What to compute.
+    folder : Path or None
+        Where the Middlebury data are.
+    path : Path
+        File to write, in a folder that is made.
+
+    Raises
+    ------
+    InputError
+        Data that cannot be read, a folder that cannot be written.
+    """
     from threadpoolctl import threadpool_limits
 
     from fracbench.methods.registry import get_method
     from fracbench.model.params import FlowParams
+    from fracbench.report.tables import ensure_folder
 
     frame0, frame1, _, inner = point_arrays(point, folder)
     with threadpool_limits(1):  # as for every stored number
         result = get_method(point.method).estimate(frame0, frame1, FlowParams().replace(point.params))
-    write_flow(path, result.flow[(slice(None), *inner)])
+    write_flow(ensure_folder(path.parent) / path.name, result.flow[(slice(None), *inner)])
 
 
 def _scene(name: str, entries: Sequence[tuple[str, Point]], folder: Path | None, cache: Path) -> Scene:

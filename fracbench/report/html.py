@@ -30,8 +30,8 @@ def write_report(sources: Sources) -> Path:
     Parameters
     ----------
     sources : Sources
-        The experiments. The store and the figures are read; flows for pictures are kept beside the store. In
-        small form two sequences are shown in pictures.
+        The experiments. The store, the figures and the flows for pictures are read. In small form two sequences
+        are shown in pictures.
 
     Returns
     -------

@@ -5,7 +5,6 @@ from __future__ import annotations
 import html as markup
 import itertools
 import json
-import os
 import re
 import shutil
 import subprocess
@@ -19,12 +18,14 @@ import pytest
 from PIL import Image
 
 from fracbench.data.files import write_flow
-from fracbench.errors import FracbenchError, InputError
+from fracbench.errors import InputError
 from fracbench.harness.store import Row, Store
 from fracbench.report import background, claims, exhibits, gallery, html, pages
 from fracbench.report.blocks import (
     Cell,
     Column,
+    Gallery,
+    Missing,
     Section,
     Table,
     demoted,
@@ -346,27 +347,27 @@ def test_a_damaged_figure_is_an_input_error(tmp_path):
         embedded_file(tmp_path / "a.png")
 
 
-def test_flows_are_computed_once(tmp_path, monkeypatch):
-    points = [point for _, point in gallery._shown(*_tiny(tmp_path))[0][1][:1]]
-    folder = gallery._computed(points, None, tmp_path / "flows", 1)
-    (path,) = folder.iterdir()
-    assert path == gallery.flow_file(points[0], folder)
-    truth = gallery.point_arrays(points[0], None)[2]
+def test_a_flow_is_computed_once(tmp_path):
+    sources = _tiny(tmp_path)
+    wanted = gallery.missing_flows(sources)
+    point, folder, path = wanted[0]
+    gallery.compute_flow(point, folder, path)
+    truth = gallery.point_arrays(point, None)[2]
     assert np.abs(gallery.read_flow(path) - truth).mean() < 0.5 * np.abs(truth).mean()
-    monkeypatch.setattr(gallery, "_compute", lambda *_: pytest.fail("computed again"))
-    gallery._computed(points, None, folder, 1)
+    assert gallery.missing_flows(sources) == wanted[1:]
 
 
-def test_a_worker_that_dies_while_it_computes_a_flow_is_one_line(tmp_path, monkeypatch):
-    points = [point for _, point in gallery._shown(*_tiny(tmp_path))[0][1][:2]]
-    monkeypatch.setattr(gallery, "_compute", lambda *_: os._exit(9))
-    with pytest.raises(FracbenchError, match="the flows that are finished are kept"):
-        gallery._computed(points, None, tmp_path / "flows", 2)
+def test_a_page_without_its_flows_names_the_command(tmp_path):
+    sources = _tiny(tmp_path)
+    missing = [block for block in exhibits.pictures(sources).blocks if isinstance(block, Missing)]
+    assert missing == [
+        Missing("6 flows", " ".join(["fracbench report", *SETTINGS, "n_warps=1 max_iter=20 --small"]))
+    ]
+    assert not any(isinstance(block, Gallery) for block in exhibits.pictures(sources).blocks)
 
 
 def _tiny(results):
-    sources = Sources(results, (*SETTINGS, "n_warps=1", "max_iter=20"), small=True)
-    return sources.get("table2").plan, sources
+    return Sources(results, (*SETTINGS, "n_warps=1", "max_iter=20"), small=True)
 
 
 @pytest.mark.parametrize(
