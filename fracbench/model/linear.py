@@ -34,7 +34,7 @@ def system_diagonals(operator: GradientOperator, theta: float, mu: float) -> tup
     return 1.0 / theta + mu * ly, mu * lx
 
 
-def jacobi_sweep(u: Array, rhs: Array, ny: Float64Array, nx: Float64Array, theta: float, mu: float) -> Array:
+def jacobi_sweep(u: Array, rhs: Array, ny: Array, nx: Array, theta: float, mu: float) -> Array:
     """Return the next iterate of the fixed point that Algorithm 4 prints, with its signs corrected.
 
     Parameters
@@ -44,7 +44,7 @@ def jacobi_sweep(u: Array, rhs: Array, ny: Float64Array, nx: Float64Array, theta
     rhs : ndarray, shape (H, W)
         ``v/theta + mu D^T (d - b)``.
     ny, nx : ndarray, shapes (H, H) and (W, W)
-        Normal operators along the axes.
+        Normal operators along the axes, in the precision of `u`.
     theta, mu : float
         Tightness and split Bregman parameter.
 
@@ -115,7 +115,7 @@ def gauss_seidel_natural(u: Array, v: Array, w: Array, theta: float, mu: float) 
 
 
 @jit
-def gauss_seidel_dense(u: Array, rhs: Array, ny: Float64Array, nx: Float64Array, theta: float, mu: float) -> None:
+def gauss_seidel_dense(u: Array, rhs: Array, ny: Array, nx: Array, theta: float, mu: float) -> None:
     """Sweep once over the pixels in raster order with dense normal operators (Algorithm 4, corrected).
 
     The off-diagonal sums are subtracted, as the Euler-Lagrange equation asks. All pixels of a row share
@@ -127,13 +127,15 @@ def gauss_seidel_dense(u: Array, rhs: Array, ny: Float64Array, nx: Float64Array,
         Current iterate, overwritten.
     rhs : ndarray, shape (H, W)
         ``v/theta + mu D^T (d - b)``.
-    ny, nx : ndarray, shapes (H, H) and (W, W), float64
-        Normal operators along the axes.
+    ny, nx : ndarray, shapes (H, H) and (W, W)
+        Normal operators along the axes, in the precision of `u`.
     theta, mu : float
         Tightness and split Bregman parameter.
     """
     height, width = u.shape
-    others = np.empty(width)
+    real = u.dtype.type  # or all would be computed in float64
+    inverse, penalty = real(1.0 / theta), real(mu)
+    others = np.empty(width, u.dtype)
     for i in range(height):
         others[:] = 0.0
         for p in range(height):
@@ -144,8 +146,8 @@ def gauss_seidel_dense(u: Array, rhs: Array, ny: Float64Array, nx: Float64Array,
             row_sum = -nx[j, j] * u[i, j]
             for q in range(width):
                 row_sum += nx[j, q] * u[i, q]
-            diagonal = 1.0 / theta + mu * (ny[i, i] + nx[j, j])
-            u[i, j] = (rhs[i, j] - mu * (others[j] + row_sum)) / diagonal
+            diagonal = inverse + penalty * (ny[i, i] + nx[j, j])
+            u[i, j] = (rhs[i, j] - penalty * (others[j] + row_sum)) / diagonal
 
 
 @jit

@@ -187,7 +187,7 @@ class SplitBregman:
         if u_solver == "exact":
             self._system = system_diagonals(operator, theta, mu)
         elif not self._fused:
-            self._ny, self._nx = operator.normal_matrices()
+            self._ny, self._nx = (matrix.astype(operator.dtype) for matrix in operator.normal_matrices())
 
     def restart(self) -> None:
         """Set d and b to 0."""
