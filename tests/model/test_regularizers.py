@@ -132,6 +132,16 @@ def test_a_jacobi_sweep_a_step_neither_settles_nor_blows_up():
     assert np.abs(after).max() < 3.0 * np.abs(V).max()
 
 
+@pytest.mark.parametrize("u_solver", ["exact", "gauss_seidel", "jacobi"])
+def test_single_precision_follows_double_precision(u_solver):
+    single, double = (
+        denoise(SplitBregman(ZeroGradient(1.2, SHAPE, dtype), THETA, MU, u_solver=u_solver), 5, V.astype(dtype))
+        for dtype in (np.float32, np.float64)
+    )
+    assert single.dtype == np.float32
+    assert 0.0 < np.abs(single - double).max() < 1e-5
+
+
 @pytest.mark.parametrize("u_solver", ["exact", "gauss_seidel"])
 def test_warm_and_cold_reach_the_same_minimiser(u_solver):
     operator = make_operator("zero", 1.2, SHAPE)
