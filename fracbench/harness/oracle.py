@@ -16,14 +16,14 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from fracbench.data.files import atomic_path, read_flow, write_flow
+from fracbench.data.files import atomic_path, read_flow
 from fracbench.errors import FracbenchError
 from fracbench.evaluation.metrics import endpoint_error, flow_errors
 from fracbench.evaluation.structure import CLASSES, structure_classes
+from fracbench.harness.flows import flow_file, keep_flow
 from fracbench.harness.point import Point
 from fracbench.harness.store import canonical_json
 from fracbench.harness.task import point_arrays
-from fracbench.methods.registry import get_method
 from fracbench.model.params import FlowParams
 
 #: What the truth chooses an order for: all pixels of a class, the neighbourhood of a pixel, the pixel.
@@ -153,11 +153,8 @@ def compute_oracle(points: Sequence[Point], data: Path | None, flows: Path, wind
 
 def _kept_flow(point: Point, data: Path | None, flows: Path) -> NDArray[np.float32]:
     """Return the flow of a point, which is computed now unless it was before."""
-    path = flows / f"{point.key}.flo"
-    if not path.is_file():
-        frame0, frame1, _, inner = point_arrays(point, data)
-        result = get_method(point.method).estimate(frame0, frame1, FlowParams().replace(point.params))
-        write_flow(path, result.flow[(slice(None), *inner)])
+    path = flow_file(point, flows)
+    keep_flow(point, data, path)
     return read_flow(path)
 
 

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fracbench.data.files import read_flow, write_flow
+from fracbench.data.files import read_flow
 from fracbench.data.sequence import list_sequences
 from fracbench.evaluation.metrics import endpoint_error, flow_errors
+from fracbench.harness.flows import flow_file, keep_flow
 from fracbench.harness.plan import Plan, make_plan
 from fracbench.harness.point import Point
 from fracbench.harness.task import point_arrays
@@ -112,41 +113,12 @@ def _shown(plan: Plan, sources: Sources) -> list[tuple[str, list[tuple[str, Poin
     return list(entries.items())
 
 
-def flow_file(point: Point, cache: Path) -> Path:
-    """Return where a point's flow is kept: the name changes with everything that the flow depends on."""
-    return cache / f"{point.key}.flo"
-
-
-def compute_flow(point: Point, folder: Path | None, path: Path) -> None:
-    """Compute the flow of a point and write it; see `missing_flows`.
-
-    The harness has no part in this: it keeps numbers, and most of these points' are in its store already. A flow
-    is a file that is there whole or not at all.
-
-    Parameters
-    ----------
-    point : Point
-        What to compute.
-    folder : Path or None
-        Where the Middlebury data are.
-    path : Path
-        File to write, in a folder that is made.
-
-    Raises
-    ------
-    InputError
-        Data that cannot be read, a folder that cannot be written.
-    """
-    from threadpoolctl import threadpool_limits
-
-    from fracbench.methods.registry import get_method
-    from fracbench.model.params import FlowParams
+def compute_flow(point: Point, data: Path | None, path: Path) -> None:
+    """Compute a flow that is missing, in a folder that is made; see `missing_flows` and `keep_flow`."""
     from fracbench.report.tables import ensure_folder
 
-    frame0, frame1, _, inner = point_arrays(point, folder)
-    with threadpool_limits(1):  # as for every stored number
-        result = get_method(point.method).estimate(frame0, frame1, FlowParams().replace(point.params))
-    write_flow(ensure_folder(path.parent) / path.name, result.flow[(slice(None), *inner)])
+    ensure_folder(path.parent)
+    keep_flow(point, data, path)
 
 
 def _scene(name: str, entries: Sequence[tuple[str, Point]], folder: Path | None, cache: Path) -> Scene:
