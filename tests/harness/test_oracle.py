@@ -11,7 +11,7 @@ from fracbench.data.files import write_flow
 from fracbench.errors import FracbenchError
 from fracbench.evaluation.metrics import endpoint_error, flow_errors
 from fracbench.evaluation.structure import CLASSES, structure_classes
-from fracbench.harness import oracle
+from fracbench.harness import flows, oracle
 from fracbench.harness.oracle import (
     SCOPES,
     best_orders,
@@ -101,7 +101,7 @@ def test_what_is_kept_is_not_computed_again(sequence, monkeypatch):
     truth = point_arrays(points[0], None)[2]
     for point in points:  # whatever is kept is taken for the flow
         write_flow(work / "flows" / f"{point.key}.flo", truth)
-    monkeypatch.setattr(oracle, "get_method", lambda name: pytest.fail("computed"))
+    monkeypatch.setattr(flows, "get_method", lambda name: pytest.fail("computed"))
     compute_oracle(points, None, work / "flows", 16, work / "oracles")
     found = load_oracle(points, 16, work / "oracles")
     assert found["scopes"]["pixel"]["least"]["aepe"] == 0.0
