@@ -18,7 +18,8 @@ from fracbench.model.fractional import gl_weights, make_operator
 from fracbench.model.linear import gauss_seidel_dense, gauss_seidel_literal
 from fracbench.model.params import FlowParams
 from fracbench.model.proximal import threshold
-from fracbench.model.warping import Linearization, central_gradient, linearize
+from fracbench.model.solver import Brightness
+from fracbench.model.warping import Linearization
 
 _PAPER = {"inner": "cold", "coupling": "penalty", "tol": 0.01, "max_inner": 30}
 #: The contestants: parameters by name, the paper's way first, the default last.
@@ -76,10 +77,7 @@ def linearised_problem(frame0: Array, frame1: Array, at: Array, params: FlowPara
         In float64.
     """
     first, second, flow = (np.ascontiguousarray(array, np.float64) for array in (frame0, frame1, at))
-    gradient1 = central_gradient(second)
-    linear = Linearization(np.empty_like(first), np.empty_like(gradient1))
-    linearize(first, second, gradient1, flow, *linear, 0, len(first))
-    return Problem(linear, np.zeros_like(flow), params)
+    return Problem(Brightness(first, second, params).at(flow), np.zeros_like(flow), params)
 
 
 def energy_at(problem: Problem, u: Array) -> float:

@@ -32,9 +32,11 @@ class TwoSided(Brightness):
 
     def __init__(self, frame0: Array, frame1: Array, params: FlowParams) -> None:
         super().__init__(frame0, frame1, params)
-        self._gradient0, self._gradient1 = (
-            five_point_gradient(f, params.gradient_scale) for f in (frame0, frame1)
-        )
+        self._gradient0 = self.differentiate(frame0, params.gradient_scale)
+
+    def differentiate(self, frame: Array, scale: float) -> Array:
+        """Return the derivatives of a frame; see `Brightness`."""
+        return five_point_gradient(frame, scale)
 
     def at(self, u0: Array) -> Linearization:
         """Average the gradients of both frames; see `fracbench.model.solver.Residual`."""

@@ -125,13 +125,15 @@ def coarse_to_fine(
     for s in reversed(range(len(shapes))):
         if s < len(shapes) - 1:
             flow = pyramid.upsample_flow(flow, shapes[s], params.upsample_gain)
-        regularizer = make_regularizer(params, pyramids[0][s])
-        frames = pyramids[0][s], pyramids[1][s]
+        frames = pyramids[0].pop(), pyramids[1].pop()
         residual, v_step = make_residual(*frames, params), make_v_step(flow, params)
+        regularizer = make_regularizer(params, frames[0])
         refine = make_refiner(*frames, params) if make_refiner else None
+        del frames  # whoever needs one has it
         watch.lap("setup")
         flow, report = solve_level(residual, flow, params, regularizer, v_step, watch, refine=refine, trace=trace)
         levels.append(report)
+        del residual, v_step, regularizer, refine  # before those of the next scale are made
     return FlowResult(
         np.asarray(flow, np.float32), method, params, levels, dict(watch.seconds), _notices(params, shapes)
     )

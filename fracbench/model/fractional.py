@@ -79,13 +79,15 @@ class LeftDerivative:
     """
 
     def __init__(self, alpha: float, n: int, pad: int, dtype: np.dtype | type) -> None:
-        self._matrix = left_derivative_matrix(alpha, n, pad).astype(dtype)
-        self._back = np.ascontiguousarray(self._matrix.T)  # a product from the right is faster with this
+        matrix = left_derivative_matrix(alpha, n, pad).astype(dtype)
+        # and its transpose, with which a product from the right is faster
+        self.matrices = matrix, np.ascontiguousarray(matrix.T)
         weights = gl_weights(alpha, n)
         self._band = None  # the weights of a whole order, which are few
         if not pad and np.count_nonzero(weights) <= 3:
             self._band = np.trim_zeros(weights, "b").astype(dtype)
         self._triangle = not pad and n > LEAST_TRIANGLE
+        self.in_full = self._band is None and not self._triangle
         self._multiply = scipy.linalg.get_blas_funcs("trmm", dtype=np.dtype(dtype))
 
     def apply(self, u: Array, axis: int, out: Array) -> None:
@@ -97,7 +99,7 @@ class LeftDerivative:
         self._times(d, axis, True, out)
 
     def _times(self, x: Array, axis: int, transposed: bool, out: Array) -> None:
-        matrix, back = (self._back, self._matrix) if transposed else (self._matrix, self._back)
+        matrix, back = self.matrices[::-1] if transposed else self.matrices
         if self._band is not None:
             (_weigh_after if transposed else _weigh_before)(x, self._band, axis, out)
         elif self._triangle:
@@ -111,7 +113,7 @@ class LeftDerivative:
         out[...] = x
         # BLAS sees columns where NumPy has rows: to it `out` is its transpose, and the axes change sides.
         side, trans = (0, transposed) if axis else (1, not transposed)
-        self._multiply(1.0, self._back.T, out.T, side=side, lower=1, trans_a=trans, overwrite_b=1)
+        self._multiply(1.0, self.matrices[1].T, out.T, side=side, lower=1, trans_a=trans, overwrite_b=1)
 
 
 @jit
@@ -156,6 +158,29 @@ def _weigh_right_hand_side(v: Array, theta: float, mu: float, y: Array, x: Array
             x[i, j] = data * v[i, j] + penalty * (x[i, j] + y[i, j])
 
 
+@jit
+def _solve_small(
+    v: Array, w: Array, theta: float, mu: float, matrices: tuple[Array, ...], system: tuple[Array, ...], u: Array
+) -> None:
+    """Take the u-step by full products, without padding; see `ZeroGradient.solve`.
+
+    Called one by one from Python, the products of small matrices take less time than the calls.
+    """
+    ty, ty_back, tx, tx_back, qy, qx, qx_back = matrices
+    along_y, along_x = system
+    y = w[0, 0]  # free once its adjoint is taken
+    np.dot(y, tx, u)
+    np.dot(ty_back, w[0, 1], y)
+    _weigh_right_hand_side(v, theta, mu, y, u)
+    np.dot(qy.T, u, y)
+    np.dot(y, qx, u)
+    divide_by_sum(u, along_y, along_x)
+    np.dot(qy, u, y)
+    np.dot(y, qx_back, u)
+    np.dot(u, tx_back, w[0, 0])
+    np.dot(ty, u, w[0, 1])
+
+
 class ZeroGradient(GradientOperator):
     """Left derivatives of u extended by 0: the operator of Algorithm 4.
 
@@ -179,6 +204,7 @@ class ZeroGradient(GradientOperator):
         self._lx, qx = _eigenbasis(self.alpha, width, pad)
         self._qy, self._qx = qy.astype(self.dtype), qx.astype(self.dtype)
         self._qx_back = np.ascontiguousarray(self._qx.T)
+        self._small = not pad and self._dy.in_full and self._dx.in_full
 
     def apply(self, u: Array) -> Array:
         d = np.empty(self.range_shape, self.dtype)
@@ -210,9 +236,11 @@ class ZeroGradient(GradientOperator):
     def from_basis(self, coefficients: Array) -> Array:
         return self._qy @ coefficients @ self._qx_back
 
-    def solve(
-        self, v: Array, w: Array, theta: float, mu: float, system: tuple[Float64Array, Float64Array], u: Array
-    ) -> None:
+    def solve(self, v: Array, w: Array, theta: float, mu: float, system: tuple[Array, ...], u: Array) -> None:
+        if self._small:
+            matrices = *self._dy.matrices, *self._dx.matrices, self._qy, self._qx, self._qx_back
+            _solve_small(v, w, theta, mu, matrices, system, u)
+            return
         height, width = self.shape
         y = w[0, 0, :height, :width]  # free once its adjoint is taken
         self._adjoints(w, u, y)

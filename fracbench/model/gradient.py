@@ -90,9 +90,26 @@ class GradientOperator(ABC):
         """Write all derivatives of `u` to `d`, shape `range_shape`; an operator may have a faster way."""
         d[...] = self.apply(u)
 
-    def solve(
-        self, v: Array, w: Array, theta: float, mu: float, system: tuple[Float64Array, Float64Array], u: Array
-    ) -> None:
+    def factor(self, theta: float, mu: float) -> tuple[Array, ...]:
+        """Return what `solve` needs to know of the u-system beforehand, ``1/theta + mu weight sum_pairs D^T D``.
+
+        The default is ``1/theta + mu ly`` and ``mu lx`` of the eigenvalues ``ly``, ``lx``, whose outer sum is the
+        system in the operator's basis.
+
+        Parameters
+        ----------
+        theta, mu : float
+            Tightness and split Bregman parameter.
+
+        Returns
+        -------
+        tuple of ndarray
+            By default two, shapes (H,) and (W,), float64.
+        """
+        ly, lx = self.eigenvalues()
+        return 1.0 / theta + mu * ly, mu * lx
+
+    def solve(self, v: Array, w: Array, theta: float, mu: float, system: tuple[Array, ...], u: Array) -> None:
         """Take the u-step of one component: minimise ``|u - v|^2 / (2 theta) + mu/2 weight |D u - w|^2``.
 
         The default is the formula; an operator that knows a faster way to the same numbers overrides it.
@@ -105,8 +122,8 @@ class GradientOperator(ABC):
             ``d - b``, overwritten by the derivatives of the minimiser.
         theta, mu : float
             Tightness and split Bregman parameter.
-        system : tuple of ndarray, shapes (H,) and (W,)
-            The system's eigenvalues are their sums, ``system[0][i] + system[1][j]``; see `system_diagonals`.
+        system : tuple of ndarray
+            What `factor` gave for `theta` and `mu`.
         u : ndarray, shape (H, W)
             The minimiser, overwritten.
         """

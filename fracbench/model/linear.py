@@ -1,8 +1,8 @@
 """Solvers of the u-step: ``(1/theta + mu (Ny (x) I + I (x) Nx)) u = rhs`` (fractional Euler-Lagrange equation).
 
 ``Ny`` and ``Nx`` are the normal operators along the two axes, ``mu = lambda_sb``. The system is symmetric
-positive definite. Solved exactly it is a division in the eigenbasis of the gradient operator
-(`fracbench.model.gradient`); the sweeps here are the paper's way, with its misprints corrected.
+positive definite. The gradient operators solve it exactly (`fracbench.model.gradient`); the sweeps here are the
+paper's way, with its misprints corrected.
 """
 
 from __future__ import annotations
@@ -11,27 +11,7 @@ import numpy as np
 
 from fracbench.model._jit import jit
 from fracbench.model.arrays import Array, Float64Array
-from fracbench.model.gradient import GradientOperator
 from fracbench.model.natural import differentiate_row, right_hand_side_row
-
-
-def system_diagonals(operator: GradientOperator, theta: float, mu: float) -> tuple[Float64Array, Float64Array]:
-    """Return ``1/theta + mu ly`` and ``mu lx``, whose outer sum is the u-system in the operator's basis.
-
-    Parameters
-    ----------
-    operator : GradientOperator
-        The gradient.
-    theta, mu : float
-        Tightness and split Bregman parameter.
-
-    Returns
-    -------
-    tuple of ndarray, shapes (H,) and (W,), float64
-        The two diagonals.
-    """
-    ly, lx = operator.eigenvalues()
-    return 1.0 / theta + mu * ly, mu * lx
 
 
 def jacobi_sweep(u: Array, rhs: Array, ny: Array, nx: Array, theta: float, mu: float) -> Array:
@@ -53,10 +33,23 @@ def jacobi_sweep(u: Array, rhs: Array, ny: Array, nx: Array, theta: float, mu: f
     ndarray, shape (H, W)
         Where the spectral radius exceeds 1 (errata, item 3), repeated sweeps diverge.
     """
-    normal_diagonal = np.add.outer(np.diag(ny), np.diag(nx))
-    off_diagonal = ny @ u + u @ nx - normal_diagonal * u
-    next_u: Array = (rhs - mu * off_diagonal) / (1.0 / theta + mu * normal_diagonal)
+    next_u: Array = ny @ u
+    _relax_jacobi(u, rhs, u @ nx, np.diag(ny), np.diag(nx), theta, mu, next_u)
     return next_u
+
+
+@jit
+def _relax_jacobi(
+    u: Array, rhs: Array, along_x: Array, ny: Array, nx: Array, theta: float, mu: float, along_y: Array
+) -> None:
+    """Write the next iterate to `along_y`, ``Ny u``; `along_x` is ``u Nx``, `ny` and `nx` are the diagonals."""
+    real = u.dtype.type  # or all would be computed in float64
+    inverse, penalty = real(1.0 / theta), real(mu)
+    for i in range(len(u)):
+        for j in range(u.shape[1]):
+            diagonal = ny[i] + nx[j]
+            others = along_y[i, j] + along_x[i, j] - diagonal * u[i, j]
+            along_y[i, j] = (rhs[i, j] - penalty * others) / (inverse + penalty * diagonal)
 
 
 @jit

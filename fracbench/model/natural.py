@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from fracbench.model._jit import jit
-from fracbench.model.arrays import Array
+from fracbench.model.arrays import Array, Float64Array
 
 
 @jit
@@ -77,3 +79,62 @@ def right_hand_side(v: Array, w: Array, theta: float, mu: float, out: Array) -> 
     """Write ``v/theta + mu D^T w`` to `out`, (H, W); see `right_hand_side_row`."""
     for i in range(len(v)):
         right_hand_side_row(v, w, theta, mu, i, out[i])
+
+
+def column_pivots(direct: Float64Array, mu: float, height: int, dtype: np.dtype | type) -> Array:
+    """Eliminate in the columns' systems ``direct(j) + mu Ny``, all tridiagonal: the u-step once x is transformed.
+
+    Parameters
+    ----------
+    direct : ndarray, shape (W,), float64
+        ``1/theta + mu lx``, positive.
+    mu : float
+        Split Bregman parameter.
+    height : int
+        Length of the columns.
+    dtype : dtype-like
+        Precision of the result.
+
+    Returns
+    -------
+    ndarray, shape (rows, W)
+        One over the pivots, row by row until they repeat themselves, and last those of the last row.
+    """
+    if height == 1:
+        return (1.0 / direct[None]).astype(dtype)
+    pivots, change = [1.0 / (direct + mu)], True
+    while change and len(pivots) < height - 1:
+        pivots.append(1.0 / (direct + 2.0 * mu - mu**2 * pivots[-1]))
+        change = not np.array_equal(pivots[-1], pivots[-2])
+    pivots.append(1.0 / (direct + mu - mu**2 * pivots[-1]))
+    return np.array(pivots, dtype)
+
+
+@jit
+def solve_columns(x: Array, mu: float, inverse: Array, start: int, stop: int) -> None:
+    """Solve the columns' systems by elimination from the first row to the last, and back.
+
+    Parameters
+    ----------
+    x : ndarray, shape (H, W)
+        Right-hand sides, overwritten by the solutions.
+    mu : float
+        Split Bregman parameter.
+    inverse : ndarray, shape (rows, W)
+        From `column_pivots`, in the precision of `x`.
+    start, stop : int
+        The columns to take.
+    """
+    penalty, last = x.dtype.type(mu), len(x) - 1
+    # slices from `start`, as a loop whose index begins there is not vectorised
+    for i in range(last + 1):
+        here, above = x[i][start:stop], x[max(i - 1, 0)][start:stop]
+        one_over = inverse[len(inverse) - 1 if i == last else min(i, len(inverse) - 2)][start:stop]
+        into = penalty if i > 0 else x.dtype.type(0.0)
+        for j in range(stop - start):
+            here[j] = one_over[j] * (here[j] + into * above[j])
+    for i in range(last - 1, -1, -1):
+        here, below = x[i][start:stop], x[i + 1][start:stop]
+        one_over = inverse[min(i, len(inverse) - 2)][start:stop]
+        for j in range(stop - start):
+            here[j] += penalty * one_over[j] * below[j]

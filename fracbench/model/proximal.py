@@ -36,19 +36,21 @@ def threshold(u: Array, rho_c: Array, gradient: Array, lambda_theta: float, v: A
         Output.
     """
     _, height, width = u.shape
+    real = u.dtype.type  # or all would be computed in float64
+    longest, zero, flat = real(lambda_theta), real(0.0), real(GRADIENT_IS_ZERO)
     for i in range(height):
         for j in range(width):
             gx, gy = gradient[0, i, j], gradient[1, i, j]
             u1, u2 = u[0, i, j], u[1, i, j]
             g2 = gx * gx + gy * gy
             rho = rho_c[i, j] + gx * u1 + gy * u2
-            bound = lambda_theta * g2
+            bound = longest * g2
             if rho < -bound:
-                step = lambda_theta
+                step = longest
             elif rho > bound:
-                step = -lambda_theta
-            elif g2 < GRADIENT_IS_ZERO:
-                step = 0.0
+                step = -longest
+            elif g2 < flat:
+                step = zero
             else:
                 step = -rho / g2
             v[0, i, j] = u1 + step * gx
@@ -95,31 +97,33 @@ def coupled_threshold(
     start, stop : int
         The rows of the image to take.
     """
-    share = step / (step + theta)
-    lambda_theta = lambda_ * (theta + step)
+    real = u.dtype.type  # or all would be computed in float64
+    share, longest = real(step / (step + theta)), real(lambda_ * (theta + step))
+    new, old = real(relaxation), real(1.0 - relaxation)
+    zero, two, flat = real(0.0), real(2.0), real(GRADIENT_IS_ZERO)
     width = u.shape[2]
     for i in range(start, stop):
         for j in range(width):
             gx, gy = gradient[0, i, j], gradient[1, i, j]
             c1, c2 = c[0, i, j], c[1, i, j]
-            z1 = c1 + relaxation * u[0, i, j] + (1.0 - relaxation) * (target[0, i, j] + c1)
-            z2 = c2 + relaxation * u[1, i, j] + (1.0 - relaxation) * (target[1, i, j] + c2)
+            z1 = c1 + new * u[0, i, j] + old * (target[0, i, j] + c1)
+            z2 = c2 + new * u[1, i, j] + old * (target[1, i, j] + c2)
             g2 = gx * gx + gy * gy
             rho = rho_c[i, j] + gx * z1 + gy * z2
-            bound = lambda_theta * g2
+            bound = longest * g2
             if rho < -bound:
-                move = lambda_theta
+                move = longest
             elif rho > bound:
-                move = -lambda_theta
-            elif g2 < GRADIENT_IS_ZERO:
-                move = 0.0
+                move = -longest
+            elif g2 < flat:
+                move = zero
             else:
                 move = -rho / g2
             move *= share  # w - z, which is also -c
             c[0, i, j] = -move * gx
             c[1, i, j] = -move * gy
-            target[0, i, j] = z1 + 2.0 * move * gx
-            target[1, i, j] = z2 + 2.0 * move * gy
+            target[0, i, j] = z1 + two * move * gx
+            target[1, i, j] = z2 + two * move * gy
 
 
 def weight_at(weights: Any, pair: int, pairs: int, i: int, j: int) -> Any:
@@ -222,7 +226,7 @@ def divide_by_sum(x: Array, along_y: Array, along_x: Array) -> None:
     x : ndarray, shape (H, W)
         Coefficients of the right-hand side, overwritten by those of u.
     along_y, along_x : ndarray, shapes (H,) and (W,), float64
-        From `system_diagonals`.
+        From `fracbench.model.gradient.GradientOperator.factor`.
     """
     ys, xs = along_y.astype(x.dtype), along_x.astype(x.dtype)  # or all would be computed in float64
     for i in range(len(x)):
@@ -253,13 +257,13 @@ def mean_squared_change(a: Array, b: Array) -> float:
     float
         The paper's stopping measure (section 3.4), square pixels.
     """
-    total = 0.0
+    total, zero = 0.0, a.dtype.type(0.0)
     components, height, width = a.shape
     for c in range(components):
         for i in range(height):
-            row = 0.0
+            row = zero  # a row's sum in the precision of the flow, which is enough for it
             for j in range(width):
                 change = a[c, i, j] - b[c, i, j]
                 row += change * change
-            total += row
+            total += float(row)
     return total / (height * width)

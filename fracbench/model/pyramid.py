@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import scipy.ndimage
 
+from fracbench.model._jit import jit
 from fracbench.model.arrays import Array
 from fracbench.model.threads import each
 from fracbench.model.warping import resize
@@ -93,7 +93,44 @@ def smooth(image: Array, sigma: float) -> Array:
     """
     if sigma == 0.0:
         return image
-    return np.asarray(scipy.ndimage.gaussian_filter(image, sigma, mode="reflect", truncate=TRUNCATE))
+    x = np.arange(int(TRUNCATE * sigma + 0.5) + 1)
+    half = np.exp(-0.5 * (x / sigma) ** 2)
+    half /= half[0] + 2.0 * half[1:].sum()
+    out = np.empty_like(image)
+    _smooth(image, half.astype(image.dtype), out)
+    return out
+
+
+@jit
+def _mirrored(k: int, n: int) -> int:
+    """Return which of `n` samples stands at place `k`, which may be far outside, of their mirror images."""
+    k %= 2 * n
+    return k if k < n else 2 * n - 1 - k
+
+
+@jit
+def _smooth(image: Array, half: Array, out: Array) -> None:
+    """Convolve the columns, then the rows, with the symmetric kernel of which `half` is the right half."""
+    height, width = image.shape
+    radius = half.size - 1
+    line = np.empty(width + 2 * radius, image.dtype)
+    for i in range(height):
+        inner, smoothed = line[radius:][:width], out[i]
+        for j in range(width):
+            inner[j] = half[0] * image[i, j]
+        for k in range(1, radius + 1):
+            above, below = image[_mirrored(i - k, height)], image[_mirrored(i + k, height)]
+            for j in range(width):
+                inner[j] += half[k] * (above[j] + below[j])
+        for k in range(radius):
+            line[radius - 1 - k] = inner[_mirrored(-1 - k, width)]
+            line[radius + width + k] = inner[_mirrored(width + k, width)]
+        for j in range(width):
+            smoothed[j] = half[0] * inner[j]
+        for k in range(1, radius + 1):
+            left, right = line[radius - k :], line[radius + k :]
+            for j in range(width):
+                smoothed[j] += half[k] * (left[j] + right[j])
 
 
 def build(image: Array, shapes: list[tuple[int, int]], eta: float) -> list[Array]:

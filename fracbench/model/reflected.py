@@ -11,8 +11,8 @@ import scipy.fft
 from fracbench.model.arrays import Array, Float64Array
 from fracbench.model.fourier import line_plan
 from fracbench.model.gradient import GradientOperator
-from fracbench.model.natural import differences, right_hand_side
-from fracbench.model.proximal import add_and_divide, divide_by_sum
+from fracbench.model.natural import column_pivots, differences, right_hand_side, solve_columns
+from fracbench.model.proximal import add_and_divide
 from fracbench.model.threads import share
 from fracbench.model.transforms import cosine, cosine_back, derivatives, derivatives_adjoint
 
@@ -42,7 +42,7 @@ class CosineGradient(GradientOperator):
         ny, nx = (_from_cosine_basis(eigenvalues) for eigenvalues in self.eigenvalues())
         return ny, nx
 
-    def divide(self, w: Array, system: tuple[Float64Array, Float64Array]) -> None:
+    def divide(self, w: Array, system: tuple[Array, ...]) -> None:
         """Solve the u-system whose right-hand side `w` holds in two parts, each in the basis of its axis alone.
 
         Parameters
@@ -56,9 +56,10 @@ class CosineGradient(GradientOperator):
         height, width = self.shape
         plan_y, plan_x, one_y, one_x = self._plan_y, self._plan_x, self._one_y, self._one_x
         in_x, in_y = w[0]
+        along_y, along_x = system
         share(lambda a, b: cosine(in_x, 0, a, b, one_y, plan_y, in_x), width)
         share(lambda a, b: cosine(in_y, 1, a, b, one_x, plan_x, in_y), height)
-        share(lambda a, b: add_and_divide(in_x, in_y, *system, a, b), height)
+        share(lambda a, b: add_and_divide(in_x, in_y, along_y, along_x, a, b), height)
         share(lambda a, b: cosine_back(in_x, 1, a, b, one_x, plan_x, in_y), height)
         share(lambda a, b: cosine_back(in_x, 0, a, b, one_y, plan_y, in_x), width)
 
@@ -120,9 +121,7 @@ class ReflectGradient(CosineGradient):
         self.transform(u, d)
         self.spread(d[0], d)
 
-    def solve(
-        self, v: Array, w: Array, theta: float, mu: float, system: tuple[Float64Array, Float64Array], u: Array
-    ) -> None:
+    def solve(self, v: Array, w: Array, theta: float, mu: float, system: tuple[Array, ...], u: Array) -> None:
         self.collect(v, w, theta, mu)
         self.divide(w, system)
         self.back(w, u)
@@ -196,18 +195,20 @@ class NaturalGradient(CosineGradient):
     def differentiate(self, u: Array, d: Array) -> None:
         differences(u, d)
 
-    def solve(
-        self, v: Array, w: Array, theta: float, mu: float, system: tuple[Float64Array, Float64Array], u: Array
-    ) -> None:
+    def solve(self, v: Array, w: Array, theta: float, mu: float, system: tuple[Array, ...], u: Array) -> None:
         height, width = self.shape
+        (inverse,) = system
         right_hand_side(v, w, theta, mu, u)
-        plan_y, plan_x, one_y, one_x = self._plan_y, self._plan_x, self._one_y, self._one_x
-        share(lambda a, b: cosine(u, 1, a, b, one_x, plan_x, u), height)
-        share(lambda a, b: cosine(u, 0, a, b, one_y, plan_y, u), width)
-        divide_by_sum(u, *system)
-        share(lambda a, b: cosine_back(u, 0, a, b, one_y, plan_y, u), width)
-        share(lambda a, b: cosine_back(u, 1, a, b, one_x, plan_x, u), height)
+        plan, one = self._plan_x, self._one_x
+        share(lambda a, b: cosine(u, 1, a, b, one, plan, u), height)
+        share(lambda a, b: solve_columns(u, mu, inverse, a, b), width)
+        share(lambda a, b: cosine_back(u, 1, a, b, one, plan, u), height)
         self.differentiate(u, w)
+
+    def factor(self, theta: float, mu: float) -> tuple[Array, ...]:
+        """Return the pivots of the columns' tridiagonal systems that the DCT-II along x leaves."""
+        _, lx = self.eigenvalues()
+        return (column_pivots(1.0 / theta + mu * lx, mu, self.shape[0], self.dtype),)
 
 
 def _dct(x: Array, axis: int) -> Array:

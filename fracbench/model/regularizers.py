@@ -17,7 +17,6 @@ from fracbench.model.linear import (
     gauss_seidel_dense,
     gauss_seidel_natural,
     jacobi_sweep,
-    system_diagonals,
 )
 from fracbench.model.proximal import bregman_update, mean_squared_change, shrink_difference
 from fracbench.model.reflected import NaturalGradient
@@ -185,7 +184,7 @@ class SplitBregman:
         self._started = [False, False]
         self._fused = u_solver == "gauss_seidel" and isinstance(operator, NaturalGradient)
         if u_solver == "exact":
-            self._system = system_diagonals(operator, theta, mu)
+            self._system = operator.factor(theta, mu)
         elif not self._fused:
             self._ny, self._nx = (matrix.astype(operator.dtype) for matrix in operator.normal_matrices())
 

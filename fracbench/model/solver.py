@@ -16,7 +16,7 @@ from fracbench.model.params import FlowParams
 from fracbench.model.proximal import coupled_threshold, mean_squared_change, threshold
 from fracbench.model.regularizers import Regularizer
 from fracbench.model.threads import share
-from fracbench.model.warping import Linearization, central_gradient, linearize
+from fracbench.model.warping import Linearization, central_gradient, interleave, linearize
 
 
 @dataclass
@@ -159,13 +159,17 @@ class Brightness:
     """
 
     def __init__(self, frame0: Array, frame1: Array, params: FlowParams) -> None:
-        self._frames = frame0, frame1
-        self._gradient1 = central_gradient(frame1, params.gradient_scale)
-        self._linear = Linearization(np.empty_like(frame0), np.empty_like(self._gradient1))
+        self._frame0 = frame0
+        self._samples1 = interleave(frame1, self.differentiate(frame1, params.gradient_scale))
+        self._linear = Linearization(np.empty_like(frame0), np.empty((2, *frame0.shape), frame0.dtype))
+
+    def differentiate(self, frame: Array, scale: float) -> Array:
+        """Return the derivatives of a frame, (2, H, W), times `scale`."""
+        return central_gradient(frame, scale)
 
     def at(self, u0: Array) -> Linearization:
         """Warp frame 1 and its gradient; see `Residual`."""
-        arrays = *self._frames, self._gradient1, u0, *self._linear
+        arrays = self._frame0, self._samples1, u0, *self._linear
         share(lambda a, b: linearize(*arrays, a, b), u0.shape[1])
         return self._linear
 

@@ -71,7 +71,7 @@ def share(work: Callable[[int, int], object], lines: int, least: int = LEAST_LIN
     least : int, optional
         Smallest range worth a thread of its own.
     """
-    parts = min(count(), max(1, lines // least))
+    parts = 1 if count() == 1 else min(count(), max(1, lines // least))
     if parts == 1:
         work(0, lines)
         return
@@ -91,6 +91,8 @@ def share(work: Callable[[int, int], object], lines: int, least: int = LEAST_LIN
 
 def each(work: Callable[[T], R], items: Sequence[T]) -> list[R]:
     """Return ``[work(item) for item in items]``, computed at the same time; see `share`."""
+    if count() == 1:
+        return [work(item) for item in items]
     found: dict[int, R] = {}
 
     def take(start: int, stop: int) -> None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fracbench.model._jit import jit
+from fracbench.model._lanes import LANES, load, store
 from fracbench.model.arrays import Array
 
 
@@ -75,46 +77,47 @@ def cubic_weights(t: float) -> tuple[float, float, float, float]:
 
 
 @jit
-def _weights(t: float, real: Any) -> tuple[Any, Any, Any, Any]:
-    a, b, c, d = cubic_weights(t)
-    return real(a), real(b), real(c), real(d)
+def interleave(image: Array, gradient: Array) -> Array:
+    """Return an image and its gradient with the three numbers of a pixel side by side.
 
+    Parameters
+    ----------
+    image : ndarray, shape (H, W)
+        Image.
+    gradient : ndarray, shape (2, H, W)
+        Its gradient.
 
-@jit
-def _sample(image: Array, top: int, left: int, wx: tuple[Any, ...], wy: tuple[Any, ...]) -> Any:
-    # Unsigned indices: no test for negative ones, which would count from the end. The caller has checked.
-    c0 = np.uintp(left - 1)
-    c1, c2, c3 = c0 + np.uintp(1), c0 + np.uintp(2), c0 + np.uintp(3)
-    value = image.dtype.type(0.0)
-    for p in range(4):
-        r = np.uintp(top - 1 + p)
-        row = wx[0] * image[r, c0] + wx[1] * image[r, c1] + wx[2] * image[r, c2] + wx[3] * image[r, c3]
-        value += wy[p] * row
-    return value
+    Returns
+    -------
+    ndarray, shape (H, 3 W), C-contiguous
+        Columns ``3 j``, ``3 j + 1``, ``3 j + 2`` hold pixel j: image, x and y derivative.
+    """
+    height, width = image.shape
+    samples = np.empty((height, 3 * width), image.dtype)
+    for i in range(height):
+        for j in range(width):
+            samples[i, 3 * j] = image[i, j]
+            samples[i, 3 * j + 1] = gradient[0, i, j]
+            samples[i, 3 * j + 2] = gradient[1, i, j]
+    return samples
 
 
 @jit
 def linearize(
-    frame0: Array,
-    frame1: Array,
-    gradient1: Array,
-    u0: Array,
-    rho_c: Array,
-    gradient: Array,
-    start: int,
-    stop: int,
+    frame0: Array, samples1: Array, u0: Array, rho_c: Array, gradient: Array, start: int, stop: int
 ) -> None:
-    """Warp `frame1` and its gradient by `u0` and form the residual's constant part.
+    """Warp frame 1 and its gradient by `u0` and form the residual's constant part.
 
     A pixel whose 4 x 4 stencil leaves the image counts as 0 in the frame and in the gradient, so that the
     data term is silent there.
 
     Parameters
     ----------
-    frame0, frame1 : ndarray, shape (H, W)
-        The two frames at this scale.
-    gradient1 : ndarray, shape (2, H, W)
-        Gradient of `frame1`.
+    frame0 : ndarray, shape (H, W)
+        Frame 0 at this scale.
+    samples1 : ndarray, shape (H, 3 W), C-contiguous
+        Frame 1 and its gradient, from `interleave`: the four pixels of a row of a stencil are twelve numbers
+        in a row, which the weights of the stencil's rows act on at once.
     u0 : ndarray, shape (2, H, W)
         Flow to linearise at, pixels.
     rho_c : ndarray, shape (H, W)
@@ -125,34 +128,69 @@ def linearize(
         The rows of the image to take.
     """
     height, width = frame0.shape
-    real = frame0.dtype.type
+    left, top = np.empty(width, np.intp), np.empty(width, np.intp)
+    wx, wy = np.empty((4, width), frame0.dtype), np.empty((4, width), frame0.dtype)
+    row = np.empty((1, 12), frame0.dtype)
     for i in range(start, stop):
+        _stencils(u0[0, i], 0.0, 1.0, width, left, wx)
+        _stencils(u0[1, i], float(i), 0.0, height, top, wy)
         for j in range(width):
-            x = j + float(u0[0, i, j])
-            y = i + float(u0[1, i, j])
-            # A non-finite flow must not index anything: the comparison is false for NaN.
-            if not (x >= 1.0 and x < width - 2.0 and y >= 1.0 and y < height - 2.0):
+            if left[j] == 0 or top[j] == 0:
                 rho_c[i, j] = -frame0[i, j]
                 gradient[0, i, j] = 0.0
                 gradient[1, i, j] = 0.0
                 continue
-            left, top = int(x), int(y)
-            wx, wy = _weights(x - left, real), _weights(y - top, real)
-            value = _sample(frame1, top, left, wx, wy)
-            gx = _sample(gradient1[0], top, left, wx, wy)
-            gy = _sample(gradient1[1], top, left, wx, wy)
+            for offset in (0, 12 - LANES):
+                column = 3 * (left[j] - 1) + offset
+                upper = wy[0, j] * load(samples1, top[j] - 1, column) + wy[1, j] * load(samples1, top[j], column)
+                lower = wy[2, j] * load(samples1, top[j] + 1, column) + wy[3, j] * load(
+                    samples1, top[j] + 2, column
+                )
+                store(row, 0, offset, upper + lower)
+            w0, w1, w2, w3 = wx[0, j], wx[1, j], wx[2, j], wx[3, j]
+            value = w0 * row[0, 0] + w1 * row[0, 3] + w2 * row[0, 6] + w3 * row[0, 9]
+            gx = w0 * row[0, 1] + w1 * row[0, 4] + w2 * row[0, 7] + w3 * row[0, 10]
+            gy = w0 * row[0, 2] + w1 * row[0, 5] + w2 * row[0, 8] + w3 * row[0, 11]
             rho_c[i, j] = value - gx * u0[0, i, j] - gy * u0[1, i, j] - frame0[i, j]
             gradient[0, i, j] = gx
             gradient[1, i, j] = gy
 
 
 @jit
+def _stencils(u: Array, at: float, step: float, n: int, sample: NDArray[np.intp], weights: Array) -> None:
+    """Place the stencils of a row along one axis: pixel j is sampled at ``at + step j + u(j)``.
+
+    Parameters
+    ----------
+    u : ndarray, shape (W,)
+        Displacements along the axis.
+    at, step : float
+        See above.
+    n : int
+        Length of the axis.
+    sample : ndarray, shape (W,), intp
+        The second of the four samples, overwritten; 0 where the stencil leaves the image.
+    weights : ndarray, shape (4, W)
+        Their weights, overwritten.
+    """
+    for j in range(u.size):
+        x = at + step * j + u[j]
+        # A non-finite flow must not index anything: the comparison is false for NaN.
+        x = x if x >= 1.0 and x < n - 2.0 else 0.0
+        second = int(x)
+        sample[j] = second
+        weights[0, j], weights[1, j], weights[2, j], weights[3, j] = cubic_weights(x - second)
+
+
+@jit
 def _resize_rows(image: Array, ratio: float, out: Array) -> None:
     height = image.shape[0]
+    real = image.dtype.type
     for i in range(out.shape[0]):
         y = i * ratio
         top = math.floor(y)
-        w = cubic_weights(y - top)
+        a, b, c, d = cubic_weights(y - top)
+        w = real(a), real(b), real(c), real(d)
         r0 = min(max(top - 1, 0), height - 1)
         r1 = min(top, height - 1)
         r2 = min(top + 1, height - 1)

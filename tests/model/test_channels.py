@@ -16,7 +16,7 @@ from fracbench.model.channels import (
 )
 from fracbench.model.params import FlowParams
 from fracbench.model.solver import Brightness, MultiplierStep
-from fracbench.model.warping import Linearization, central_gradient
+from fracbench.model.warping import Linearization, central_gradient, interleave
 
 LAMBDAS, THETA, STEP = np.array([0.3, 1.2, 0.7]), 0.4, 3.0
 
@@ -107,7 +107,7 @@ def test_the_five_point_stencil_is_exact_for_polynomials_of_degree_four():
 def test_the_gradient_is_the_mean_of_both_frames_and_the_residual_stays(rng, frames):
     u0 = rng.normal(size=(2, 14, 17))
     plain = Brightness(*frames, FlowParams(dtype="float64"))
-    plain._gradient1 = five_point_gradient(frames[1])
+    plain._samples1 = interleave(frames[1], five_point_gradient(frames[1]))
     expected, mixed = (kind.at(u0) for kind in (plain, TwoSided(*frames, FlowParams(dtype="float64"))))
     seen = (expected.gradient != 0.0).any(axis=0)
     assert seen.any() and not seen.all()

@@ -18,7 +18,6 @@ from fracbench.model.fractional import (
     make_operator,
 )
 from fracbench.model.gradient import GradientOperator
-from fracbench.model.linear import system_diagonals
 from fracbench.model.reflected import NaturalGradient, ReflectGradient
 
 ALPHAS = (0.0, 0.3, 0.7, 1.0, 1.3, 1.9, 2.0)
@@ -167,9 +166,9 @@ def test_solve_is_the_dense_u_step(rng, boundary, alpha, pad, shape):
     system = np.eye(v.size) / theta + mu * ref.dense_normal(boundary, alpha, shape, pad)
     rhs = v / theta + mu * operator.weight * operator.adjoint(g)
     expected = np.linalg.solve(system, rhs.ravel()).reshape(shape)
-    for solve in (operator.solve, lambda *args: GradientOperator.solve(operator, *args)):
+    for kind in (type(operator), GradientOperator):
         u, w = np.empty_like(v), g.copy()
-        solve(v, w, theta, mu, system_diagonals(operator, theta, mu), u)
+        kind.solve(operator, v, w, theta, mu, kind.factor(operator, theta, mu), u)
         np.testing.assert_allclose(u, expected, atol=1e-12)
         np.testing.assert_allclose(w, operator.apply(u), atol=1e-12)
     operator.differentiate(v, g)
@@ -200,7 +199,7 @@ def test_inputs_may_be_read_only(rng, boundary, alpha, pad):
     before = u.copy(), d.copy()
     u.flags.writeable = d.flags.writeable = False
     operator.apply(u), operator.adjoint(d)
-    operator.solve(u, d.copy(), 1.0, 1.0, (np.ones(5), np.ones(6)), np.empty((5, 6)))
+    operator.solve(u, d.copy(), 1.0, 1.0, operator.factor(1.0, 1.0), np.empty((5, 6)))
     operator.differentiate(u, d.copy())
     np.testing.assert_array_equal(u, before[0])
     np.testing.assert_array_equal(d, before[1])

@@ -5,12 +5,12 @@ import pytest
 import reference_impl as ref
 
 from fracbench.model.fractional import ZeroGradient, gl_weights, make_operator
+from fracbench.model.gradient import GradientOperator
 from fracbench.model.linear import (
     gauss_seidel_dense,
     gauss_seidel_literal,
     gauss_seidel_natural,
     jacobi_sweep,
-    system_diagonals,
 )
 from fracbench.model.reflected import NaturalGradient
 
@@ -24,7 +24,9 @@ OPERATORS = pytest.mark.parametrize(("boundary", "alpha", "pad"), CASES)
 
 
 def exact_u_step(operator, rhs):
-    return operator.from_basis(operator.to_basis(rhs) / np.add.outer(*system_diagonals(operator, THETA, MU)))
+    return operator.from_basis(
+        operator.to_basis(rhs) / np.add.outer(*GradientOperator.factor(operator, THETA, MU))
+    )
 
 
 @pytest.fixture

@@ -10,7 +10,6 @@ from fracbench.errors import InputError
 from fracbench.model.energy import coupling, regularity
 from fracbench.model.fractional import ReflectGradient
 from fracbench.model.gradient import GradientOperator
-from fracbench.model.linear import system_diagonals
 from fracbench.model.mapped import MappedGradient
 from fracbench.model.regularizers import SplitBregman
 
@@ -79,7 +78,7 @@ def test_the_regularity_weighs_each_norm(rng, weights):
 def test_the_fast_u_step_is_the_formula(rng, weights):
     operator = MappedGradient(ALPHAS, weights)
     v, g = rng.normal(size=SHAPE), rng.normal(size=operator.range_shape)
-    system = system_diagonals(operator, THETA, MU)
+    system = operator.factor(THETA, MU)
     (u, w), (u_twin, w_twin) = ((np.empty(SHAPE), g.copy()) for _ in range(2))
     operator.solve(v, w, THETA, MU, system, u)
     GradientOperator.solve(operator, v, w_twin, THETA, MU, system, u_twin)

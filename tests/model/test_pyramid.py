@@ -102,7 +102,7 @@ def test_stretching_makes_new_arrays(rng):
 
 
 def gaussian_by_hand(image, sigma, axis):
-    reach = 2 * image.shape[axis]  # far beyond where the package cuts its kernel for the sigmas tested
+    reach = max(20, 2 * image.shape[axis])  # far beyond where the package cuts its kernel for the sigmas tested
     offsets = np.arange(-reach, reach + 1)
     kernel = np.exp(-0.5 * (offsets / sigma) ** 2)
     kernel /= kernel.sum()
@@ -115,11 +115,16 @@ def gaussian_by_hand(image, sigma, axis):
     return np.stack(lines, axis)
 
 
-@pytest.mark.parametrize("sigma", [0.6, 0.8, SIGMA_ZERO * math.sqrt(3.0)])
-def test_smoothing_is_a_gaussian_with_mirrored_borders(rng, sigma):
-    image = rng.uniform(0, 255, (9, 12))
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("shape", [(9, 12), (30, 21), (4, 5), (1, 7), (7, 1)])
+@pytest.mark.parametrize("sigma", [0.6, 0.8, SIGMA_ZERO * math.sqrt(3.0), 2.5])
+def test_smoothing_is_a_gaussian_with_mirrored_borders(rng, sigma, shape, dtype):
+    """Also where the kernel is longer than the image, and meets mirror images of mirror images."""
+    image = rng.uniform(0, 255, shape)
     expected = gaussian_by_hand(gaussian_by_hand(image, sigma, 0), sigma, 1)
-    np.testing.assert_allclose(smooth(image, sigma), expected, atol=1e-3)
+    smoothed = smooth(image.astype(dtype), sigma)
+    assert smoothed.dtype == dtype
+    np.testing.assert_allclose(smoothed, expected, atol=1e-3)
 
 
 def test_no_smoothing_leaves_the_image(rng):

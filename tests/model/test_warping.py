@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 import reference_impl as ref
 
-from fracbench.model.warping import Linearization, central_gradient, cubic_weights, linearize, resize
+from fracbench.model.warping import (
+    Linearization,
+    central_gradient,
+    cubic_weights,
+    interleave,
+    linearize,
+    resize,
+)
 
 SHAPE = (9, 11)
 
@@ -25,7 +32,7 @@ def quadratic(x, y):
 
 def linearized(frame0, frame1, u0):
     linear = Linearization(np.full(frame0.shape, np.nan), np.full((2, *frame0.shape), np.nan))
-    linearize(frame0, frame1, central_gradient(frame1), u0, *linear, 0, len(frame0))
+    linearize(frame0, interleave(frame1, central_gradient(frame1)), u0, *linear, 0, len(frame0))
     return linear
 
 
