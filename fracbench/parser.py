@@ -10,7 +10,10 @@ from fracbench.errors import InputError, nearest
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser whose errors are one line and name the nearest valid word."""
+    """An argument parser whose errors are one line and name the nearest valid word; options are not abbreviated."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(allow_abbrev=False, **settings)
 
     def error(self, message: str) -> NoReturn:
         """Raise `InputError`, where argparse would print and leave."""

@@ -121,6 +121,8 @@ def test_the_experiments_beyond_the_paper_are_not_the_papers():
         (["report", "alpha=1"], "report: an experiment fixes its own grid"),
         (["report", "--jobs", "0", "dataset=synthetic"], "--jobs must be at least 1, got 0"),
         (["report", "--smoll"], "unexpected argument '--smoll': did you mean --small?"),
+        (["report", "--smal"], "unexpected argument '--smal': did you mean --small?"),
+        (["report", "--job", "2"], "unexpected argument '--job': did you mean --jobs?"),
     ],
 )
 def test_mistakes_are_one_line(paper, cli, argv, message):
