@@ -125,16 +125,16 @@ def solve_columns(x: Array, mu: float, inverse: Array, start: int, stop: int) ->
     start, stop : int
         The columns to take.
     """
-    penalty, last = x.dtype.type(mu), len(x) - 1
+    penalty, last, settled = x.dtype.type(mu), len(x) - 1, len(inverse) - 2
     # slices from `start`, as a loop whose index begins there is not vectorised
     for i in range(last + 1):
         here, above = x[i][start:stop], x[max(i - 1, 0)][start:stop]
-        one_over = inverse[len(inverse) - 1 if i == last else min(i, len(inverse) - 2)][start:stop]
+        one_over = inverse[settled + 1 if i == last else min(i, settled)][start:stop]
         into = penalty if i > 0 else x.dtype.type(0.0)
         for j in range(stop - start):
             here[j] = one_over[j] * (here[j] + into * above[j])
     for i in range(last - 1, -1, -1):
         here, below = x[i][start:stop], x[i + 1][start:stop]
-        one_over = inverse[min(i, len(inverse) - 2)][start:stop]
+        one_over = inverse[min(i, settled)][start:stop]
         for j in range(stop - start):
             here[j] += penalty * one_over[j] * below[j]

@@ -140,12 +140,11 @@ def linearize(
                 gradient[0, i, j] = 0.0
                 gradient[1, i, j] = 0.0
                 continue
+            r = top[j]
             for offset in (0, 12 - LANES):
-                column = 3 * (left[j] - 1) + offset
-                upper = wy[0, j] * load(samples1, top[j] - 1, column) + wy[1, j] * load(samples1, top[j], column)
-                lower = wy[2, j] * load(samples1, top[j] + 1, column) + wy[3, j] * load(
-                    samples1, top[j] + 2, column
-                )
+                c = 3 * (left[j] - 1) + offset
+                upper = wy[0, j] * load(samples1, r - 1, c) + wy[1, j] * load(samples1, r, c)
+                lower = wy[2, j] * load(samples1, r + 1, c) + wy[3, j] * load(samples1, r + 2, c)
                 store(row, 0, offset, upper + lower)
             w0, w1, w2, w3 = wx[0, j], wx[1, j], wx[2, j], wx[3, j]
             value = w0 * row[0, 0] + w1 * row[0, 3] + w2 * row[0, 6] + w3 * row[0, 9]
