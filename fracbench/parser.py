@@ -10,7 +10,7 @@ from fracbench.errors import InputError, nearest
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser whose errors are one line and name the nearest valid word; options are not abbreviated."""
+    """An argument parser with errors of one line that name the nearest valid word, and no abbreviated options."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(allow_abbrev=False, **settings)
