@@ -514,19 +514,20 @@ def probed(folder: Path, text: str, caption: str, *, filters=(), dark=False) -> 
         "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
         "--disable-component-update --disable-sync --enable-logging=stderr --virtual-time-budget=10000 --dump-dom"
     )
-    done = subprocess.run(
-        [
-            CHROMIUM,
-            *flags.split(),
-            f"--user-data-dir={folder / 'profile'}",
-            f"--blink-settings=preferredColorScheme={0 if dark else 1}",
-            (folder / "frame.html").as_uri(),
-        ],
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    found = re.search(r'<pre id="found">(.+?)</pre>', done.stdout, re.DOTALL)
+    command = [
+        CHROMIUM,
+        *flags.split(),
+        f"--user-data-dir={folder / 'profile'}",
+        f"--blink-settings=preferredColorScheme={0 if dark else 1}",
+        (folder / "frame.html").as_uri(),
+    ]
+    for _ in range(
+        5
+    ):  # on a busy machine virtual time may run out while images are decoded, which takes real time
+        done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+        found = re.search(r'<pre id="found">(.+?)</pre>', done.stdout, re.DOTALL)
+        if found:
+            break
     assert found, f"the page did not load: {done.stdout[-500:]} {done.stderr[-2000:]}"
     return json.loads(markup.unescape(found[1])), done.stderr
 
