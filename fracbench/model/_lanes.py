@@ -46,11 +46,39 @@ def _is_plane(array: Any) -> bool:
     return isinstance(array, types.Array) and array.ndim == 2 and array.layout == "C"
 
 
-def _pointer(context: Any, builder: Any, array_type: Any, array: Any, row: Any, column: Any) -> Any:
+def _pointer(context: Any, builder: Any, array_type: Any, array: Any, row: Any, column: Any = None) -> Any:
+    """Return where eight numbers of an image stand, or, without a column, a row of a workspace."""
     plane = context.make_array(array_type)(context, builder, array)
-    width = builder.extract_value(plane.shape, 1)
-    offset = builder.add(builder.mul(row, width), column)
+    if column is None:
+        offset = builder.mul(row, context.get_constant(types.intp, LANES))
+    else:
+        offset = builder.add(builder.mul(row, builder.extract_value(plane.shape, 1)), column)
     return builder.bitcast(builder.gep(plane.data, [offset]), _vector(array_type.dtype).as_pointer())
+
+
+@intrinsic
+def _load_row(typingctx: Any, work: Any, row: Any) -> Any:
+    if not _is_plane(work):
+        return None
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        pointer = _pointer(context, builder, sig.args[0], *args)
+        return builder.load(pointer, align=sig.args[0].dtype.bitwidth // 8)
+
+    return LanesType(work.dtype)(work, types.intp), codegen
+
+
+@intrinsic
+def _store_row(typingctx: Any, work: Any, row: Any, value: Any) -> Any:
+    if not (_is_plane(work) and isinstance(value, LanesType) and value.dtype == work.dtype):
+        return None
+
+    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        pointer = _pointer(context, builder, sig.args[0], *args[:2])
+        builder.store(args[2], pointer, align=sig.args[0].dtype.bitwidth // 8)
+        return context.get_dummy_value()
+
+    return types.void(work, types.intp, value), codegen
 
 
 @intrinsic
@@ -159,6 +187,18 @@ def _transpose_slowly(rows: Any) -> Any:
 
 
 _SLOWLY: bool = config.DISABLE_JIT  # type: ignore[attr-defined]
+
+
+def _load_row_slowly(work: Any, row: int) -> Any:
+    return work[row].copy()
+
+
+def _store_row_slowly(work: Any, row: int, value: Any) -> None:
+    work[row] = value
+
+
+load_row: Any = _load_row_slowly if _SLOWLY else _load_row
+store_row: Any = _store_row_slowly if _SLOWLY else _store_row
 load: Any = _load_slowly if _SLOWLY else _load
 store: Any = _store_slowly if _SLOWLY else _store
 transpose: Any = _transpose_slowly if _SLOWLY else _transpose

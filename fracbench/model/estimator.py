@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -9,11 +10,11 @@ import numpy as np
 
 from fracbench.errors import InputError
 from fracbench.model import pyramid
-from fracbench.model.arrays import Array
+from fracbench.model.arrays import Array, aligned
 from fracbench.model.params import FlowParams
 from fracbench.model.regularizers import Regularizer
 from fracbench.model.solver import Brightness, LevelReport, PenaltyStep, Residual, Stopwatch, VStep, solve_level
-from fracbench.model.threads import each
+from fracbench.model.threads import each, worth_threads
 
 RegularizerFactory = Callable[[FlowParams, Array], Regularizer]
 VStepFactory = Callable[[Array, FlowParams], VStep]
@@ -120,20 +121,23 @@ def coarse_to_fine(
         pyramid.stretch(frame0, frame1, dtype),
     )
     watch.lap("pyramid")
-    flow = np.zeros((2, *shapes[-1]), dtype)
+    flow = aligned((2, *shapes[-1]), dtype)
     levels: list[LevelReport] = []
     for s in reversed(range(len(shapes))):
-        if s < len(shapes) - 1:
-            flow = pyramid.upsample_flow(flow, shapes[s], params.upsample_gain)
-        frames = pyramids[0].pop(), pyramids[1].pop()
-        residual, v_step = make_residual(*frames, params), make_v_step(flow, params)
-        regularizer = make_regularizer(params, frames[0])
-        refine = make_refiner(*frames, params) if make_refiner else None
-        del frames  # whoever needs one has it
-        watch.lap("setup")
-        flow, report = solve_level(residual, flow, params, regularizer, v_step, watch, refine=refine, trace=trace)
-        levels.append(report)
-        del residual, v_step, regularizer, refine  # before those of the next scale are made
+        with worth_threads(math.prod(shapes[s])):
+            if s < len(shapes) - 1:
+                flow = pyramid.upsample_flow(flow, shapes[s], params.upsample_gain)
+            frames = pyramids[0].pop(), pyramids[1].pop()
+            residual, v_step = make_residual(*frames, params), make_v_step(flow, params)
+            regularizer = make_regularizer(params, frames[0])
+            refine = make_refiner(*frames, params) if make_refiner else None
+            del frames  # whoever needs one has it
+            watch.lap("setup")
+            flow, report = solve_level(
+                residual, flow, params, regularizer, v_step, watch, refine=refine, trace=trace
+            )
+            levels.append(report)
+            del residual, v_step, regularizer, refine  # before those of the next scale are made
     return FlowResult(
         np.asarray(flow, np.float32), method, params, levels, dict(watch.seconds), _notices(params, shapes)
     )

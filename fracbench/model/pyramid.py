@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from fracbench.model._jit import jit
-from fracbench.model.arrays import Array
+from fracbench.model.arrays import Array, aligned
 from fracbench.model.threads import each
 from fracbench.model.warping import resize
 
@@ -179,6 +179,6 @@ def upsample_flow(flow: Array, shape: tuple[int, int], gain: float | None = None
         Flow in pixels of the fine scale.
     """
     ratios = (shape[1] / flow.shape[2], shape[0] / flow.shape[1]) if gain is None else (gain, gain)
-    fine = np.empty((2, *shape), flow.dtype)
+    fine = aligned((2, *shape), flow.dtype)
     each(lambda c: np.multiply(resize(flow[c], shape), flow.dtype.type(ratios[c]), out=fine[c]), range(2))
     return fine

@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from fracbench.model._jit import jit
-from fracbench.model.arrays import Array
+from fracbench.model.arrays import Array, aligned
 from fracbench.model.gradient import GradientOperator
 from fracbench.model.linear import (
     gauss_seidel_dense,
@@ -179,8 +179,8 @@ class SplitBregman:
         self._cold = inner == "cold"
         self._relaxation = relaxation if u_solver == "exact" and not self._cold else 1.0
         self._tol, self._max_inner = tol, max_inner
-        self._z = np.zeros((2, *operator.range_shape), operator.dtype)
-        self._w = [np.zeros(operator.range_shape, operator.dtype)]  # by turns d - b and D u
+        self._z = aligned((2, *operator.range_shape), operator.dtype)
+        self._w = [aligned(operator.range_shape, operator.dtype)]  # by turns d - b and D u
         self._started = [False, False]
         self._fused = u_solver == "gauss_seidel" and isinstance(operator, NaturalGradient)
         if u_solver == "exact":
@@ -196,7 +196,7 @@ class SplitBregman:
     def step(self, v: Array, u: Array, out: Array) -> int:
         """Take one warm step, or iterate from a cold start; see `Regularizer.step`."""
         if count() > 1 and len(self._w) == 1:  # both components at once
-            self._w.append(np.zeros_like(self._w[0]))
+            self._w.append(aligned(self._w[0].shape, self._w[0].dtype))
         inner = each(lambda c: self._take_component(c, v[c], u[c], out[c]), range(2))
         return sum(inner) if self._cold else 1
 

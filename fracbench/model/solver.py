@@ -10,12 +10,12 @@ from typing import Protocol
 
 import numpy as np
 
-from fracbench.model.arrays import Array
+from fracbench.model.arrays import Array, aligned
 from fracbench.model.energy import energy
 from fracbench.model.params import FlowParams
 from fracbench.model.proximal import coupled_threshold, mean_squared_change, threshold
 from fracbench.model.regularizers import Regularizer
-from fracbench.model.threads import share
+from fracbench.model.threads import LEAST_LIGHT_LINES, share
 from fracbench.model.warping import Linearization, central_gradient, interleave, linearize
 
 
@@ -86,7 +86,7 @@ class PenaltyStep:
     """
 
     def __init__(self, like: Array, params: FlowParams) -> None:
-        self._v = np.empty_like(like)
+        self._v = aligned(like.shape, like.dtype)
         self._lambda_theta = params.lambda_ * params.theta
 
     def relinearised(self) -> None:
@@ -113,7 +113,7 @@ class MultiplierStep:
     """
 
     def __init__(self, like: Array, params: FlowParams) -> None:
-        self._c, self._target = np.zeros_like(like), np.zeros_like(like)
+        self._c, self._target = (aligned(like.shape, like.dtype) for _ in range(2))
         self._params = params
         self._fresh = True
 
@@ -130,7 +130,7 @@ class MultiplierStep:
         p = self._params
         settings = p.lambda_, p.theta, p.coupling_step, self._relaxation()
         state = self._c, self._target
-        share(lambda a, b: coupled_threshold(u, *linear, *settings, *state, a, b), u.shape[1])
+        share(lambda a, b: coupled_threshold(u, *linear, *settings, *state, a, b), u.shape[1], LEAST_LIGHT_LINES)
         return self._target
 
     def _relaxation(self) -> float:
@@ -214,7 +214,7 @@ def solve_level(
         Iterations and stop reasons.
     """
     report = LevelReport(shape=(u.shape[1], u.shape[2]))
-    after = np.empty_like(u)
+    after = aligned(u.shape, u.dtype)
     still = None if params.relinearise else np.zeros_like(u)
     for _ in range(params.n_warps):
         linear = residual.at(u if still is None else still)

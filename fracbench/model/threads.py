@@ -12,8 +12,12 @@ from typing import TypeVar
 from fracbench.errors import InputError
 from fracbench.model.transforms import LINES
 
-#: Fewer lines than this are not worth waking a thread for.
+#: Fewer lines than this are not worth waking a thread for...
 LEAST_LINES = 64
+#: ...nor are images of fewer pixels...
+LEAST_PIXELS = 40_000
+#: ...nor fewer lines than this of what takes a few operations a pixel.
+LEAST_LIGHT_LINES = 256
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -50,6 +54,16 @@ def _team(pool: ThreadPoolExecutor, number: int) -> Iterator[None]:
     finally:
         _pool.reset(tokens[0])
         _threads.reset(tokens[1])
+
+
+@contextmanager
+def worth_threads(pixels: int) -> Iterator[None]:
+    """Let one thread do all within a ``with`` block on images of so few `pixels` that others would take longer."""
+    token = _threads.set(count() if pixels >= LEAST_PIXELS else 1)
+    try:
+        yield
+    finally:
+        _threads.reset(token)
 
 
 def count() -> int:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracbench.model._jit import jit
-from fracbench.model._lanes import LANES, load, store, transpose
+from fracbench.model._lanes import LANES, load, load_row, store, store_row, transpose
 from fracbench.model.arrays import Array
 from fracbench.model.fourier import LinePlan, fourier, get, put
 
@@ -26,19 +26,26 @@ LINES = 2 * LANES
 
 
 @jit
-def _gather(image: Array, axis: int, first: int, rows: NDArray[np.intp], work: Array, part: int) -> None:
-    """Put element j of the lines `first`, `first` + 1, ... into ``work[2 rows[j] + part]``.
+def _gather(image: Array, axis: int, first: int, rows: NDArray[np.intp], work: Array, base: int) -> None:
+    """Put element j of the lines `first`, `first` + 1, ... into row ``base + rows[j]``: eight, and eight more.
 
-    Where fewer than eight lines are left, the last one is repeated.
+    Where fewer are left, the last one is repeated.
     """
+    if axis == 0 and first + LINES <= image.shape[1]:
+        for j in range(len(image)):  # both at once: they share a line of the cache
+            put(work, base + rows[j], load(image, j, first), load(image, j, first + LANES))
+        return
+    for part in range(2):
+        _gather_eight(image, axis, first + part * LANES, rows, work, 2 * base + part)
+
+
+@jit
+def _gather_eight(image: Array, axis: int, first: int, rows: NDArray[np.intp], work: Array, part: int) -> None:
     n, count = image.shape[axis], image.shape[1 - axis]
     done = 0
-    if first + LANES <= count:
-        done = n - n % LANES if axis == 1 else n
-        if axis == 0:
-            for j in range(n):
-                store(work, 2 * rows[j] + part, 0, load(image, j, first))
-        for j in range(0, done if axis == 1 else 0, LANES):
+    if axis == 1 and first + LANES <= count:
+        done = n - n % LANES
+        for j in range(0, done, LANES):
             r = first
             turned = transpose(
                 (
@@ -46,14 +53,14 @@ def _gather(image: Array, axis: int, first: int, rows: NDArray[np.intp], work: A
                     load(image, r + 4, j), load(image, r + 5, j), load(image, r + 6, j), load(image, r + 7, j),
                 )
             )  # fmt: skip
-            store(work, 2 * rows[j] + part, 0, turned[0])
-            store(work, 2 * rows[j + 1] + part, 0, turned[1])
-            store(work, 2 * rows[j + 2] + part, 0, turned[2])
-            store(work, 2 * rows[j + 3] + part, 0, turned[3])
-            store(work, 2 * rows[j + 4] + part, 0, turned[4])
-            store(work, 2 * rows[j + 5] + part, 0, turned[5])
-            store(work, 2 * rows[j + 6] + part, 0, turned[6])
-            store(work, 2 * rows[j + 7] + part, 0, turned[7])
+            store_row(work, 2 * rows[j] + part, turned[0])
+            store_row(work, 2 * rows[j + 1] + part, turned[1])
+            store_row(work, 2 * rows[j + 2] + part, turned[2])
+            store_row(work, 2 * rows[j + 3] + part, turned[3])
+            store_row(work, 2 * rows[j + 4] + part, turned[4])
+            store_row(work, 2 * rows[j + 5] + part, turned[5])
+            store_row(work, 2 * rows[j + 6] + part, turned[6])
+            store_row(work, 2 * rows[j + 7] + part, turned[7])
     for i in range(LANES):
         line = min(first + i, count - 1)
         for j in range(done, n):
@@ -61,22 +68,34 @@ def _gather(image: Array, axis: int, first: int, rows: NDArray[np.intp], work: A
 
 
 @jit
-def _scatter(work: Array, part: int, rows: NDArray[np.intp], image: Array, axis: int, first: int) -> None:
-    """Undo `_gather`."""
+def _scatter(
+    work: Array, base: int, rows: NDArray[np.intp], image: Array, axis: int, first: int, turned: bool
+) -> None:
+    """Undo `_gather`; where the real and the imaginary parts are `turned`, these are the first eight lines."""
+    if axis == 0 and first + LINES <= image.shape[1]:
+        one, other = (first + LANES, first) if turned else (first, first + LANES)
+        for j in range(len(image)):
+            x, y = get(work, base + rows[j])
+            store(image, j, one, x)
+            store(image, j, other, y)
+        return
+    for part in range(2):
+        _scatter_eight(work, 2 * base + (1 - part if turned else part), rows, image, axis, first + part * LANES)
+
+
+@jit
+def _scatter_eight(work: Array, part: int, rows: NDArray[np.intp], image: Array, axis: int, first: int) -> None:
     n, count = image.shape[axis], image.shape[1 - axis]
     done = 0
-    if first + LANES <= count:
-        done = n - n % LANES if axis == 1 else n
-        if axis == 0:
-            for j in range(n):
-                store(image, j, first, load(work, 2 * rows[j] + part, 0))
-        for j in range(0, done if axis == 1 else 0, LANES):
+    if axis == 1 and first + LANES <= count:
+        done = n - n % LANES
+        for j in range(0, done, LANES):
             turned = transpose(
                 (
-                    load(work, 2 * rows[j] + part, 0), load(work, 2 * rows[j + 1] + part, 0),
-                    load(work, 2 * rows[j + 2] + part, 0), load(work, 2 * rows[j + 3] + part, 0),
-                    load(work, 2 * rows[j + 4] + part, 0), load(work, 2 * rows[j + 5] + part, 0),
-                    load(work, 2 * rows[j + 6] + part, 0), load(work, 2 * rows[j + 7] + part, 0),
+                    load_row(work, 2 * rows[j] + part), load_row(work, 2 * rows[j + 1] + part),
+                    load_row(work, 2 * rows[j + 2] + part), load_row(work, 2 * rows[j + 3] + part),
+                    load_row(work, 2 * rows[j + 4] + part), load_row(work, 2 * rows[j + 5] + part),
+                    load_row(work, 2 * rows[j + 6] + part), load_row(work, 2 * rows[j + 7] + part),
                 )
             )  # fmt: skip
             store(image, first, j, turned[0])
@@ -170,12 +189,10 @@ def cosine(x: Array, axis: int, start: int, stop: int, factor: Array, plan: Line
     """
     work, base = np.empty((2 * plan.results.size, LANES), x.dtype), int(np.intp(0))  # as in `fourier`
     for first in range(start, stop, LINES):
-        for part in range(2):
-            _gather(x, axis, first + part * LANES, plan.forth, work, part)
+        _gather(x, axis, first, plan.forth, work, base)
         fourier(work, base, plan)
         _from_fourier(work, base, plan, factor, False)
-        for part in range(2):
-            _scatter(work, part, plan.results, out, axis, first + part * LANES)
+        _scatter(work, base, plan.results, out, axis, first, False)
 
 
 @jit
@@ -183,12 +200,10 @@ def cosine_back(x: Array, axis: int, start: int, stop: int, factor: Array, plan:
     """Write the lines whose cosine coefficients are ``factor(k) x(k)``; parameters as for `cosine`."""
     work, base = np.empty((2 * plan.results.size, LANES), x.dtype), int(np.intp(0))  # as in `fourier`
     for first in range(start, stop, LINES):
-        for part in range(2):
-            _gather(x, axis, first + part * LANES, plan.natural, work, part)
+        _gather(x, axis, first, plan.natural, work, base)
         _to_fourier(work, base, plan, factor, False)
         fourier(work, base, plan)
-        for part in range(2):
-            _scatter(work, 1 - part, plan.back, out, axis, first + part * LANES)
+        _scatter(work, base, plan.back, out, axis, first, True)
 
 
 @jit
@@ -211,9 +226,11 @@ def derivatives(
     n = plan.results.size
     work = np.empty((4 * n, LANES), x.dtype)
     for first in range(start, stop, LINES):
+        _gather(x, axis, first, plan.natural, work, 0)
+        for row in range(n):
+            ar, ai = get(work, row)
+            put(work, n + row, ar, ai)
         for base in (0, n):
-            for part in range(2):
-                _gather(x, axis, first + part * LANES, plan.natural, work, 2 * base + part)
             _to_fourier(work, base, plan, even if base == 0 else odd, base > 0)
             fourier(work, base, plan)
         for sample in range(n):
@@ -227,9 +244,7 @@ def derivatives(
                 put(work, row, ar - br, ai - bi)
                 put(work, n + row, ar + br, ai + bi)
         for side in range(2):
-            for part in range(2):
-                rows, image = 2 * n * side + 1 - part, out[side, 1 - axis]
-                _scatter(work, rows, plan.back, image, axis, first + part * LANES)
+            _scatter(work, side * n, plan.back, out[side, 1 - axis], axis, first, True)
 
 
 @jit
@@ -261,15 +276,10 @@ def derivatives_adjoint(
         Cosine coefficients along `axis`.
     """
     n = plan.results.size
-    pieces = 3 if direct.size else 2
-    work = np.empty((2 * pieces * n, LANES), d.dtype)
+    work = np.empty((4 * n, LANES), d.dtype)
     for first in range(start, stop, LINES):
-        for part in range(2):
-            line = first + part * LANES
-            for side in range(2):
-                _gather(d[side, 1 - axis], axis, line, plan.forth, work, 2 * n * side + part)
-            if pieces == 3:
-                _gather(v, axis, line, plan.forth, work, 4 * n + part)
+        for side in range(2):
+            _gather(d[side, 1 - axis], axis, first, plan.forth, work, side * n)
         for row in range(n):
             lr, li = get(work, row)
             rr, ri = get(work, n + row)
@@ -278,19 +288,23 @@ def derivatives_adjoint(
                 put(work, n + row, lr - rr, li - ri)
             else:
                 put(work, n + row, rr - lr, ri - li)
-        for piece in range(pieces):
-            fourier(work, piece * n, plan)
-            factor = even if piece == 0 else odd if piece == 1 else direct
-            _from_fourier(work, piece * n, plan, factor, piece == 1)
+        for base in (0, n):
+            fourier(work, base, plan)
+            _from_fourier(work, base, plan, even if base == 0 else odd, base > 0)
         for k in range(n):
-            row = plan.results[k]
-            ar, ai = get(work, row)
             # a sine coefficient stands in its mirror's row, that of frequency 0 (nothing) in its own
-            br, bi = get(work, n + plan.results[(n - k) % n])
-            ar, ai = ar + br, ai + bi
-            if pieces == 3:
-                cr, ci = get(work, 2 * n + row)
-                ar, ai = ar + cr, ai + ci
-            put(work, row, ar, ai)
-        for part in range(2):
-            _scatter(work, part, plan.results, out, axis, first + part * LANES)
+            _add_row(work, plan.results[k], n + plan.results[(n - k) % n])
+        if direct.size:
+            _gather(v, axis, first, plan.forth, work, n)
+            fourier(work, n, plan)
+            _from_fourier(work, n, plan, direct, False)
+            for row in range(n):
+                _add_row(work, row, n + row)
+        _scatter(work, 0, plan.results, out, axis, first, False)
+
+
+@jit
+def _add_row(work: Array, row: int, other: int) -> None:
+    ar, ai = get(work, row)
+    br, bi = get(work, other)
+    put(work, row, ar + br, ai + bi)

@@ -16,6 +16,8 @@ from fracbench.model.transforms import cosine, cosine_back, derivatives, derivat
 # every radix, products of them, odd primes and their squares; and fewer, as many, and more lines than lanes
 LENGTHS = (1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12, 15, 16, 22, 25, 30, 49, 60, 97, 146)
 COUNTS = (1, 7, 8, 13, 37)
+# transforms that are completed one by one after none, one and two passes over all
+LONG = (256, 640, 2448, 2021, 7000)
 TOLERANCE = {np.float64: 1e-13, np.float32: 2e-5}
 
 
@@ -36,7 +38,7 @@ def sine(x, axis):
     return np.moveaxis(np.tensordot(basis, x, axes=(1, axis)), 0, axis)
 
 
-@pytest.mark.parametrize("n", LENGTHS)
+@pytest.mark.parametrize("n", LENGTHS + LONG)
 def test_fourier_is_the_discrete_fourier_transform_of_each_lane(rng, n):
     plan = line_plan(n, np.dtype(float))
     work = rng.normal(size=(2 * (n + 3), LANES))
