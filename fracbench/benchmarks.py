@@ -110,12 +110,11 @@ def grow(tokens: Sequence[str], *, repeats: int, threads: int) -> None:
 
     from fracbench.harness import growth
 
-    stem, tables = _stem(tokens, f"size_{threads}_threads"), []
-    with console.progress(2 * repeats * (len(growth.SHAPES) + 1), "bench") as advance:
-        for boundary in ("reflect", "zero"):
-            records = growth.by_size(boundary=boundary, threads=threads, repeats=repeats, on_lap=advance)
-            tables.append(pd.DataFrame(records).assign(boundary=boundary))
-    _write(pd.concat(tables), stem, f"alpha 1.2, fixed iterations, {threads} threads against one")
+    stem = _stem(tokens, f"size_{threads}_threads")
+    laps = 2 * repeats * sum(growth.turns(shape) for _, shape in growth.cases())
+    with console.progress(laps, "bench") as advance:
+        records = growth.by_size(threads=threads, repeats=repeats, on_lap=advance)
+    _write(pd.DataFrame(records), stem, f"alpha 1.2, fixed iterations, {threads} threads against one")
 
 
 def share(tokens: Sequence[str], *, repeats: int, jobs: int) -> None:

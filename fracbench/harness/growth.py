@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -20,8 +21,8 @@ from fracbench.harness.store import Store
 
 #: From VGA to 8 megapixels: these without a prime factor above 5, and with 17, which costs its square.
 SHAPES = ((480, 640), (960, 1280), (1728, 2304), (2304, 3456), (2448, 3264))
-#: Iterations are fixed: growth is to be that of the work, not of the picture.
-FIXED: Mapping[str, Any] = {"alpha": 1.2, "epsilon": 0.0, "max_iter": 3, "n_warps": 2, "n_scales": 4}
+#: All iterations that a flow may take by default, whatever the picture: growth is to be that of the work.
+FIXED: Mapping[str, Any] = {"alpha": 1.2, "epsilon": 0.0, "n_scales": 4}
 
 
 def texture_pair(shape: tuple[int, int]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
@@ -45,60 +46,65 @@ def texture_pair(shape: tuple[int, int]) -> tuple[NDArray[np.uint8], NDArray[np.
     return frame, np.roll(frame, (1, 2), axis=(0, 1))
 
 
-def by_size(
-    *, boundary: str, threads: int, repeats: int, on_lap: Callable[[], None] | None = None
-) -> list[dict[str, Any]]:
-    """Time the solver on growing images, with one and with several threads, interleaved.
+def cases() -> list[tuple[str, tuple[int, int]]]:
+    """Return the boundaries and sizes that `by_size` times: all sizes under `reflect`, the least also under `zero`."""
+    return [("reflect", shape) for shape in SHAPES] + [("zero", SHAPES[0])]
+
+
+def turns(shape: tuple[int, int]) -> int:
+    """Return how often an image of `shape` is estimated in a round: small ones more often, which vary most."""
+    return min(8, max(1, 2_000_000 // math.prod(shape)))
+
+
+def by_size(*, threads: int, repeats: int, on_lap: Callable[[], None] | None = None) -> list[dict[str, Any]]:
+    """Time the solver on growing images, with one and with several threads; sizes and threads take turns.
 
     Parameters
     ----------
-    boundary : {'reflect', 'zero'}
-        Boundary rule.
     threads : int
         Compared with one.
     repeats : int
-        Timed rounds; the median counts.
+        Timed rounds through all sizes; the median of all turns counts.
     on_lap : callable, optional
         Called after each estimate.
 
     Returns
     -------
     list of dict
-        ``height, width, seconds, us_per_pixel, bytes_per_pixel, resident, speed_up``: seconds on one thread; bytes
-        a pixel at peak of an estimate, of its arrays and of resident memory beyond what the process held before;
-        and one thread's time over several threads'.
+        ``boundary, height, width, seconds, us_per_pixel, bytes_per_pixel, resident, speed_up``, one for each of
+        `cases`: seconds on one thread; bytes a pixel at peak of an estimate, of its arrays and of resident memory
+        beyond what the process held before; and one thread's time over several threads'.
     """
     from fracbench.api import estimate_flow
 
-    records = []
-    for height, width in SHAPES if boundary == "reflect" else SHAPES[:1]:
-        frames = texture_pair((height, width))
-        took: dict[int, list[float]] = {1: [], threads: []}
-        estimate = partial(estimate_flow, *frames, boundary=boundary, **FIXED)
+    estimates, records = [], []
+    for boundary, shape in cases():
+        pixels = math.prod(shape)
+        estimate = partial(estimate_flow, *texture_pair(shape), boundary=boundary, **FIXED)
         estimate()  # what is compiled or planned stays in memory
         reset_peak()
         before = peak_mib()
         estimate()
-        peak = peak_mib()
-        for _ in range(repeats):
-            for number, times in took.items():
+        resident = 2**20 * ((peak_mib() or np.nan) - (before or np.nan)) / pixels
+        estimates.append(estimate)
+        records.append({"boundary": boundary, "height": shape[0], "width": shape[1], "resident": resident})
+    took: list[dict[int, list[float]]] = [{1: [], threads: []} for _ in estimates]
+    for _ in range(repeats):
+        for (_, shape), estimate, times in zip(cases(), estimates, took, strict=True):
+            for number in turns(shape) * list(times):
                 started = time.perf_counter()
                 estimate(threads=number)
-                times.append(time.perf_counter() - started)
+                times[number].append(time.perf_counter() - started)
                 if on_lap is not None:
                     on_lap()
-        seconds = median(took[1])
-        records.append(
-            {
-                "height": height,
-                "width": width,
-                "seconds": seconds,
-                "us_per_pixel": 1e6 * seconds / (height * width),
-                "bytes_per_pixel": array_bytes(estimate) / (height * width),
-                "resident": 2**20 * ((peak or np.nan) - (before or np.nan)) / (height * width),
-                "speed_up": seconds / median(took[threads]),
-            }
-        )
+    for (_, shape), estimate, times, record in zip(cases(), estimates, took, records, strict=True):
+        seconds, pixels = median(times[1]), math.prod(shape)
+        record |= {
+            "seconds": seconds,
+            "us_per_pixel": 1e6 * seconds / pixels,
+            "bytes_per_pixel": array_bytes(estimate) / pixels,
+            "speed_up": seconds / median(times[threads]),
+        }
     return records
 
 
