@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 
 import numpy as np
@@ -19,6 +20,8 @@ BOUNDARIES = ("zero", "reflect", "natural")
 ALPHA_RANGE = (0.0, 2.0)
 #: On longer lines the product with a triangle is faster than that with a full matrix.
 LEAST_TRIANGLE = 100
+#: Rows of a product that is shared by threads.
+BLOCK_ROWS = 240
 
 
 def gl_weights(alpha: float, n: int) -> Float64Array:
@@ -265,8 +268,17 @@ class ZeroGradient(GradientOperator):
 
 
 def _product(a: Array, b: Array, out: Array) -> None:
-    """Write ``a b`` to `out`, by rows: threads of BLAS's own are slower than one."""
-    share(lambda start, stop: np.matmul(a[start:stop], b, out=out[start:stop]), len(out))
+    """Write ``a b`` to `out`, by blocks of rows that threads share: BLAS's own are slower than one.
+
+    How a row is rounded depends on the rows multiplied with it, so the blocks are the same for any threads.
+    """
+
+    def take(start: int, stop: int) -> None:
+        for block in range(start, stop):
+            rows = slice(block * BLOCK_ROWS, (block + 1) * BLOCK_ROWS)
+            np.matmul(a[rows], b, out=out[rows])
+
+    share(take, math.ceil(len(out) / BLOCK_ROWS), least=1)
 
 
 # As many bases as a sweep of 21 orders comes back to at six scales (with fewer it would find none of them): 15 MB

@@ -10,7 +10,9 @@ from numba import config
 
 from fracbench import estimate_flow
 from fracbench.errors import InputError
-from fracbench.model.threads import count, each, share, use_threads
+from fracbench.model import fractional, regularizers, solver
+from fracbench.model import threads as threads_module
+from fracbench.model.threads import count, each, share, use_threads, worth_threads
 from fracbench.model.transforms import LINES
 
 
@@ -78,7 +80,10 @@ def test_an_error_in_any_thread_is_raised():
     ("method", "boundary"),
     [("tvl1_sb_alpha", "reflect"), ("tvl1_sb_alpha", "zero"), ("tvl1_sb", None), ("tvl1", None)],
 )
-def test_the_flow_does_not_depend_on_the_number_of_threads(method, boundary):
+def test_the_flow_does_not_depend_on_the_number_of_threads(method, boundary, monkeypatch):
+    monkeypatch.setattr(threads_module, "LEAST_PIXELS", 0)  # all scales, and all that is shared
+    monkeypatch.setattr(solver, "LEAST_LIGHT_LINES", 64)
+    monkeypatch.setattr(fractional, "BLOCK_ROWS", 50)
     rng = np.random.default_rng(2)
     frame0 = rng.uniform(0, 255, (150, 210))
     frame1 = np.roll(frame0, 1, axis=1)
@@ -89,6 +94,28 @@ def test_the_flow_does_not_depend_on_the_number_of_threads(method, boundary):
     ]
     for other in flows[1:]:
         np.testing.assert_array_equal(other, flows[0])
+
+
+def test_one_thread_takes_an_image_too_small_for_more():
+    with use_threads(3):
+        for pixels, team in ((threads_module.LEAST_PIXELS, 3), (threads_module.LEAST_PIXELS - 1, 1)):
+            with worth_threads(pixels):
+                assert count() == team
+            assert count() == 3
+
+
+def test_the_threads_of_a_flow_share_its_large_scales_alone(monkeypatch):
+    teams = []
+
+    def noted(*args):
+        teams.append(count())
+        return each(*args)
+
+    monkeypatch.setattr(regularizers, "each", noted)
+    frame = np.random.default_rng(2).uniform(0, 255, (240, 320))
+    result = estimate_flow(frame, frame, threads=2, n_scales=2, n_warps=1, max_iter=1)
+    assert [level.shape for level in result.levels] == [(120, 160), (240, 320)]
+    assert teams == [1, 2]
 
 
 @pytest.mark.parametrize("threads", [0, -1])
