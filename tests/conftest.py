@@ -12,7 +12,7 @@ from fracbench.data import middlebury as middlebury_data
 from fracbench.data.files import write_flo, write_image
 from fracbench.data.synthetic import scene
 from fracbench.errors import DataError
-from fracbench.harness import regression, tolerances
+from fracbench.harness import regression, spread, tolerances
 from fracbench.harness.store import Row
 from fracbench.model import SOLVER_VERSION
 from fracbench.report import drawing, style
@@ -43,7 +43,7 @@ def reference(work, monkeypatch) -> Path:
     """The folder for stored tables of a project of its own, which the working folder is; nothing is in it."""
     folder = work / "results" / "reference"
     folder.mkdir(parents=True)
-    for module in (regression, tolerances):
+    for module in (regression, spread, tolerances):
         monkeypatch.setattr(module, "asset", lambda relative: work / relative)
     monkeypatch.setattr(regression, "checkout", lambda: work)
     return folder

@@ -47,7 +47,7 @@ def texture_pair(shape: tuple[int, int]) -> tuple[NDArray[np.uint8], NDArray[np.
 
 
 def cases() -> list[tuple[str, tuple[int, int]]]:
-    """Return the boundaries and sizes that `by_size` times: all sizes under `reflect`, the least also under `zero`."""
+    """Return the boundaries and sizes that `by_size` times: all under `reflect`, the least also under `zero`."""
     return [("reflect", shape) for shape in SHAPES] + [("zero", SHAPES[0])]
 
 

@@ -256,8 +256,7 @@ def update(
     if plan is None:
         raise InputError(f"{name}: the Middlebury data cannot be had here")
     folder = asset("results/reference")
-    history = folder / f"{name}.json"
-    entries = _entries(history)
+    entries = history(name)
     rows = recompute(plan, jobs, on_row)
     failed = [row for row in rows.values() if row.status != "done"]
     if failed:
@@ -267,7 +266,7 @@ def update(
     entries.append(_entry(reason, next(iter(rows.values()))))
     contents = {
         folder / f"{name}.csv": reference_table(plan, rows, tabulate).to_csv(index=False, lineterminator="\n"),
-        history: json.dumps(entries, indent=2, sort_keys=True) + "\n",
+        folder / f"{name}.json": json.dumps(entries, indent=2, sort_keys=True) + "\n",
     }
     for path, text in contents.items():
         with atomic_path(path) as temporary:
@@ -281,11 +280,13 @@ def require_checkout() -> None:
         raise InputError("check --update: there is no checkout to write to; stored tables are part of one")
 
 
-def _entries(history: Path) -> list[Any]:
+def history(name: str) -> list[Any]:
+    """Return the records of a stored table, the last of which is that of its numbers."""
+    path = asset("results/reference") / f"{name}.json"
     try:
-        entries: list[Any] = json.loads(history.read_text(encoding="utf-8")) if history.is_file() else []
+        entries: list[Any] = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else []
     except (OSError, ValueError) as exc:
-        raise InputError(f"{history}: cannot be read as JSON: {exc}") from exc
+        raise InputError(f"{path}: cannot be read as JSON: {exc}") from exc
     return entries
 
 

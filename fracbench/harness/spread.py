@@ -1,8 +1,9 @@
 """How far the stored numbers move where nothing has changed: the basis of the tolerances.
 
 A stored table is computed under circumstances that must not matter: more threads, double precision, BLAS
-kernels and compiled loops for other processors. Each is a process of its own, since kernels are chosen when
-the libraries are loaded.
+kernels and compiled loops for other processors, a parameter moved by some units in its last place. Each is a
+process of its own, since kernels are chosen when the libraries are loaded. What another processor has stored is
+one more.
 """
 
 from __future__ import annotations
@@ -18,8 +19,18 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from fracbench.errors import FracbenchError, InputError
+from fracbench.harness.assets import asset
 from fracbench.harness.plan import Plan
-from fracbench.harness.regression import Tabulate, by_label, key_columns, plan_of, reference_table
+from fracbench.harness.provenance import machine
+from fracbench.harness.regression import (
+    Tabulate,
+    by_label,
+    history,
+    key_columns,
+    plan_of,
+    read_table,
+    reference_table,
+)
 from fracbench.harness.store import Row
 from fracbench.harness.tolerances import MEASURED
 from fracbench.model import SOLVER_VERSION
@@ -46,6 +57,8 @@ class Circumstance:
         Precision; empty for the points' own.
     kernel : str
         The OpenBLAS kernel that must be at work then; empty for any.
+    nudge : float
+        Relative change of theta.
     """
 
     name: str
@@ -53,6 +66,7 @@ class Circumstance:
     threads: int = 1
     dtype: str = ""
     kernel: str = ""
+    nudge: float = 0.0
 
 
 #: What `fracbench check` itself computes under.
@@ -65,6 +79,8 @@ CIRCUMSTANCES = (
         for core in ("Nehalem", "Haswell", "SkylakeX")
     ),
     Circumstance("loops for a generic processor", {"NUMBA_CPU_NAME": "generic"}),
+    # no other processor computes in quite this order: several draws of a rounding error everywhere
+    *(Circumstance(f"theta {nudge:+.0e}", nudge=nudge) for nudge in (-2e-6, -1e-6, 1e-6, 2e-6)),
 )
 
 
@@ -88,7 +104,7 @@ def measure(
     -------
     dict of str to pandas.DataFrame
         By table: see `fracbench.harness.tolerances.load_spreads`. A circumstance that this machine does not
-        offer is left out.
+        offer is left out; what a processor of another name has stored, of the same rows, is one more.
 
     Raises
     ------
@@ -107,18 +123,35 @@ def measure(
     with ThreadPoolExecutor(jobs) as pool:
         done = list(zip(pairs, pool.map(work, pairs), strict=True))
     return {
-        name: spreads({one.name: table for (which, one), table in done if which == name and table is not None})
+        name: spreads(
+            {one.name: table for (which, one), table in done if which == name and table is not None},
+            stored_elsewhere(name),
+        )
         for name in names
     }
 
 
-def spreads(tables: Mapping[str, Mapping[str, Mapping[str, str]]]) -> pd.DataFrame:
+def stored_elsewhere(name: str) -> dict[str, dict[str, dict[str, str]]]:
+    """Return a stored table, under the name of its circumstance, if another processor has computed it."""
+    entries = history(name)
+    if not entries or entries[-1]["solver_version"] != SOLVER_VERSION or entries[-1]["cpu"] == machine()["cpu"]:
+        return {}
+    table = read_table(asset("results/reference") / f"{name}.csv")
+    return {f"as stored from {entries[-1]['cpu']}": by_label(table, key_columns(table))}
+
+
+def spreads(
+    tables: Mapping[str, Mapping[str, Mapping[str, str]]],
+    elsewhere: Mapping[str, Mapping[str, Mapping[str, str]]] | None = None,
+) -> pd.DataFrame:
     """Compare a table under each circumstance with the table under the usual ones.
 
     Parameters
     ----------
     tables : mapping
         By circumstance, then by row: the cells by column, as text.
+    elsewhere : mapping, optional
+        The same of what other processors have stored; left out where it has other rows.
 
     Returns
     -------
@@ -135,8 +168,9 @@ def spreads(tables: Mapping[str, Mapping[str, Mapping[str, str]]]) -> pd.DataFra
 
     if USUAL.name not in tables:
         raise FracbenchError("a table cannot be computed even under the usual circumstances; try fracbench check")
-    records = []
-    for row, cells in tables[USUAL.name].items():
+    usual, records = tables[USUAL.name], []
+    tables = {**tables, **{name: rows for name, rows in (elsewhere or {}).items() if rows.keys() == usual.keys()}}
+    for row, cells in usual.items():
         for column in MEASURED:
             others = {name: rows.get(row, {}) for name, rows in tables.items() if name != USUAL.name}
             found = {name: _relative(cells[column], other.get(column, "")) for name, other in others.items()}
@@ -199,6 +233,7 @@ def _in_a_process(name: str, circumstance: Circumstance) -> Results | None:
         name,
         str(circumstance.threads),
         circumstance.dtype,
+        str(circumstance.nudge),
     ]
     environment = {**os.environ, **limits, **circumstance.environment}
     done = subprocess.run(command, env=environment, capture_output=True, text=True)
@@ -211,7 +246,7 @@ def _in_a_process(name: str, circumstance: Circumstance) -> Results | None:
     return results
 
 
-def results_of(plan: Plan, threads: int, dtype: str) -> dict[str, dict[str, Any]]:
+def results_of(plan: Plan, threads: int, dtype: str, nudge: float = 0.0) -> dict[str, dict[str, Any]]:
     """Compute the points of a plan in this process.
 
     Parameters
@@ -222,6 +257,8 @@ def results_of(plan: Plan, threads: int, dtype: str) -> dict[str, dict[str, Any]
         Threads of the solver; BLAS has one.
     dtype : str
         Precision; empty for the points' own.
+    nudge : float, optional
+        Relative change of theta.
 
     Returns
     -------
@@ -243,17 +280,18 @@ def results_of(plan: Plan, threads: int, dtype: str) -> dict[str, dict[str, Any]
         for key, point in plan.unique().items():
             frame0, frame1, truth, inner = point_arrays(point, plan.folder)
             params = FlowParams().replace(point.params).replace({"dtype": dtype} if dtype else {})
+            params = params.replace({"theta": params.theta * (1.0 + nudge)})
             flow = get_method(point.method).estimate(frame0, frame1, params).flow
             errors = flow_errors(flow[(slice(None), *inner)], truth[(slice(None), *inner)])
             found[key] = dataclasses.asdict(errors)
     return found
 
 
-def _answer(name: str, threads: str, dtype: str) -> None:
+def _answer(name: str, threads: str, dtype: str, nudge: str) -> None:
     """Print the results of a stored table under the circumstances of this process."""
     from threadpoolctl import threadpool_info
 
-    results = results_of(require_plan(name), int(threads), dtype)
+    results = results_of(require_plan(name), int(threads), dtype, float(nudge))
     print(json.dumps({"kernels": [pool.get("architecture") for pool in threadpool_info()], "results": results}))
 
 

@@ -225,6 +225,8 @@ def outdated(names: Iterable[str], solver_version: int) -> list[str]:
 def write(spreads: Mapping[str, pd.DataFrame], origin: Mapping[str, Any]) -> list[Path]:
     """Write spreads, and the tolerances that follow from them and from those of the other tables.
 
+    Spreads of the same numerics that could not be measured this time, which another machine has, stay.
+
     Parameters
     ----------
     spreads : mapping of str to pandas.DataFrame
@@ -246,8 +248,11 @@ def write(spreads: Mapping[str, pd.DataFrame], origin: Mapping[str, Any]) -> lis
 
     path = asset("results/reference/tolerances.toml")
     reasons = {column: tolerance.reason for column, tolerance in load_tolerances().columns.items()}
+    old = load_spreads()
+    kept = old.keys() - outdated(old, origin["solver_version"])
+    spreads = {name: _completed(new, old[name]) if name in kept else new for name, new in spreads.items()}
     try:
-        tolerances = derive(dict(sorted({**load_spreads(), **spreads}.items())), reasons)
+        tolerances = derive(dict(sorted({**old, **spreads}.items())), reasons)
     except ValueError as exc:
         raise InputError(f"{path}: no tolerance follows from what was measured: {exc}") from exc
     folder = path.parent / "spread"
@@ -263,6 +268,13 @@ def write(spreads: Mapping[str, pd.DataFrame], origin: Mapping[str, Any]) -> lis
         with atomic_path(file) as temporary:
             temporary.write_text(text, encoding="utf-8")
     return list(contents)
+
+
+def _completed(new: pd.DataFrame, old: pd.DataFrame) -> pd.DataFrame:
+    """Return the spreads in `new` and, of circumstances that it lacks, those in `old`; 0 for rows that are new."""
+    labels = ["row", "column"]
+    lacking = [column for column in old if column not in new]
+    return new.merge(old[[*labels, *lacking]], on=labels, how="left").fillna(dict.fromkeys(lacking, 0.0))
 
 
 def to_toml(tolerances: Tolerances) -> str:

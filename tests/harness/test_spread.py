@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import pytest
@@ -9,8 +10,10 @@ import pytest
 from fracbench.errors import FracbenchError, InputError
 from fracbench.harness import regression, spread
 from fracbench.harness.plan import make_plan
+from fracbench.harness.provenance import machine
 from fracbench.harness.spread import CIRCUMSTANCES, USUAL, Circumstance, measure, results_of, spreads, summary
 from fracbench.harness.task import run_point
+from fracbench.model import SOLVER_VERSION
 from fracbench.report.tables import tidy
 
 GRID = ["sequence=synthetic_flat", "n_scales=1", "n_warps=1", "max_iter=3", "method=tvl1_sb_alpha", "alpha=0.5,1"]
@@ -31,8 +34,9 @@ def mini(monkeypatch):
 def test_the_circumstances_are_those_that_must_not_matter():
     names = {one.name for one in CIRCUMSTANCES}
     assert {"two threads", "float64", "BLAS for Nehalem", "BLAS for Haswell", "BLAS for SkylakeX"} < names
-    assert Circumstance("usual", {}, threads=1, dtype="", kernel="") == USUAL
+    assert Circumstance("usual", {}, threads=1, dtype="", kernel="", nudge=0.0) == USUAL
     assert {one.environment.get("OPENBLAS_CORETYPE", "") for one in CIRCUMSTANCES} >= {"Nehalem", "SkylakeX"}
+    assert {abs(one.nudge) for one in CIRCUMSTANCES} == {0.0, 1e-6, 2e-6}  # far below what a table prints
 
 
 def test_differences_are_relative_to_the_usual_number():
@@ -77,6 +81,30 @@ def test_rows_are_called_as_in_the_check(mini, monkeypatch):
     assert table.loc[table["column"] == "aepe", "float64"].tolist() == pytest.approx([0.5, 0.5])
 
 
+def test_what_another_processor_has_stored_counts_if_it_has_the_same_rows():
+    usual = {"usual": {"a": cells("2.0")}, "float64": {"a": cells("2.0")}}
+    table = spreads(usual, {"as stored from Abacus": {"a": cells("2.2")}, "as stored from Z3": {"b": cells("9")}})
+    assert table["as stored from Abacus"].tolist() == pytest.approx([0.1, 0, 0])
+    assert list(table.columns) == ["row", "column", "float64", "as stored from Abacus"]
+
+
+@pytest.mark.parametrize(
+    ("record", "found"),
+    [
+        ({"cpu": "Abacus", "solver_version": SOLVER_VERSION}, True),
+        ({"cpu": machine()["cpu"], "solver_version": SOLVER_VERSION}, False),
+        ({"cpu": "Abacus", "solver_version": SOLVER_VERSION - 1}, False),
+        (None, False),
+    ],
+)
+def test_what_is_stored_from_another_processor(reference, record, found):
+    (reference / "t.csv").write_text("sequence,aae,aepe,sdae\nvenus,1,2,3\n")
+    if record:
+        (reference / "t.json").write_text(json.dumps([record | {"cpu": "Z3"}, record]))
+    cells = {"sequence": "venus", "aae": "1", "aepe": "2", "sdae": "3"}
+    assert spread.stored_elsewhere("t") == ({"as stored from Abacus": {"venus": cells}} if found else {})
+
+
 def test_a_table_that_cannot_be_computed_at_all_is_an_error(mini, monkeypatch):
     monkeypatch.setattr(spread, "_in_a_process", lambda *_: None)
     with pytest.raises(FracbenchError, match="even under the usual circumstances"):
@@ -97,13 +125,18 @@ def test_the_usual_circumstances_are_those_of_the_check():
         outcome = run_point(point, None)
         assert {name: outcome.result[name] for name in results[key]} == results[key]
     assert results_of(plan, 1, "float64") != results
+    nudged = results_of(plan, 1, "", 1e-6)
+    for key, errors in results.items():
+        assert nudged[key] != errors
+        assert nudged[key]["aepe"] == pytest.approx(errors["aepe"], rel=1e-3)
 
 
 def test_threads_reach_the_solver(monkeypatch):
-    from fracbench.model import regularizers
+    from fracbench.model import regularizers, threads
     from fracbench.model.threads import count, each
 
     seen = []
+    monkeypatch.setattr(threads, "LEAST_PIXELS", 0)
     monkeypatch.setattr(regularizers, "each", lambda *args: seen.append(count()) or each(*args))
     plan = make_plan(["sequence=synthetic_flat", "n_scales=1", "n_warps=1", "max_iter=1", "boundary=reflect"])
     results_of(plan, 2, "")
@@ -126,7 +159,7 @@ def test_a_process_takes_on_its_circumstance(monkeypatch):
     monkeypatch.setattr(spread.subprocess, "run", call)
     haswell = next(one for one in CIRCUMSTANCES if one.kernel == "Haswell")
     assert spread._in_a_process(name, haswell) == {}
-    assert calls["command"][1:] == ["-m", "fracbench.harness.spread", name, "1", ""]
+    assert calls["command"][1:] == ["-m", "fracbench.harness.spread", name, "1", "", "0.0"]
     assert calls["env"]["OPENBLAS_CORETYPE"] == "Haswell" and calls["env"]["OPENBLAS_NUM_THREADS"] == "1"
     nehalem = next(one for one in CIRCUMSTANCES if one.kernel == "Nehalem")
     assert spread._in_a_process(name, nehalem) is None

@@ -175,6 +175,20 @@ def test_the_spreads_of_other_tables_count_on(reference):
     assert load_tolerances().columns["aepe"].relative == pytest.approx(5e-4)
 
 
+def test_what_this_machine_cannot_measure_stays(reference):
+    """Kernels for a processor that this one is not, and what another has stored."""
+    (reference / "tolerances.toml").write_text(TOML)
+    write({"t": spreads([1e-2], under="SkylakeX")}, ORIGIN)
+    write({"t": spreads([1e-4, 2e-4])}, ORIGIN)
+    table = load_spreads()["t"].set_index(["row", "column"])
+    assert list(table.columns) == ["two threads", "float64", "SkylakeX"]
+    assert table.loc[("row 0", "aepe")].tolist() == [0, 1e-4, 1e-2]
+    assert table.loc[("row 1", "aepe")].tolist() == [0, 2e-4, 0]
+    assert load_tolerances().columns["aepe"].relative == pytest.approx(5e-2)
+    write({"t": spreads([1e-4])}, ORIGIN | {"solver_version": 8})
+    assert list(load_spreads()["t"].columns) == ["row", "column", "two threads", "float64"]
+
+
 def test_a_spread_of_other_numerics_is_outdated(reference):
     (reference / "tolerances.toml").write_text(TOML)
     write({"t": spreads([1e-4])}, ORIGIN)
