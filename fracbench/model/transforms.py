@@ -43,9 +43,11 @@ def _gather(image: Array, axis: int, first: int, rows: NDArray[np.intp], work: A
 def _gather_eight(image: Array, axis: int, first: int, rows: NDArray[np.intp], work: Array, part: int) -> None:
     n, count = image.shape[axis], image.shape[1 - axis]
     done = 0
-    if axis == 1 and first + LANES <= count:
-        done = n - n % LANES
-        for j in range(0, done, LANES):
+    if first + LANES <= count:
+        done = n - n % LANES if axis == 1 else n
+        for j in range(n if axis == 0 else 0):
+            store_row(work, 2 * rows[j] + part, load(image, j, first))
+        for j in range(0, done if axis == 1 else 0, LANES):
             r = first
             turned = transpose(
                 (
@@ -87,9 +89,11 @@ def _scatter(
 def _scatter_eight(work: Array, part: int, rows: NDArray[np.intp], image: Array, axis: int, first: int) -> None:
     n, count = image.shape[axis], image.shape[1 - axis]
     done = 0
-    if axis == 1 and first + LANES <= count:
-        done = n - n % LANES
-        for j in range(0, done, LANES):
+    if first + LANES <= count:
+        done = n - n % LANES if axis == 1 else n
+        for j in range(n if axis == 0 else 0):
+            store(image, j, first, load_row(work, 2 * rows[j] + part))
+        for j in range(0, done if axis == 1 else 0, LANES):
             turned = transpose(
                 (
                     load_row(work, 2 * rows[j] + part), load_row(work, 2 * rows[j + 1] + part),

@@ -28,7 +28,7 @@ Part = tuple[str, dict[str, set[str]]]  # a stored table, and which of its rows
 
 SCENES: Part = ("table2_synthetic", {"protocol": {"reference"}, "sequence": {"synthetic_flat", "synthetic_edge"}})
 CURVES: Part = ("regions_synthetic", {"region": {"urban3_A"}, "alpha": {"0.6", "1.4", "1.8"}})
-COLOUR: Part = ("regions", {"region": {"grove2_A"}, "alpha": {"1.2"}})  # Middlebury is in colour,
+COLOUR: Part = ("regions", {"region": {"rubberwhale_A"}, "alpha": {"1.2"}})  # Middlebury is in colour,
 UNKNOWN: Part = ("regions", {"region": {"hydrangea_A"}, "alpha": {"1.2"}})  # and has pixels of unknown flow
 
 
