@@ -11,6 +11,7 @@ import scipy.linalg
 from fracbench.errors import InputError, unknown_name
 from fracbench.model._jit import jit
 from fracbench.model.arrays import Array, Float64Array
+from fracbench.model.exponentials import ExponentialSum, convolve, exponential_sum
 from fracbench.model.gradient import GradientOperator
 from fracbench.model.proximal import divide_by_sum
 from fracbench.model.reflected import NaturalGradient, ReflectGradient
@@ -18,8 +19,8 @@ from fracbench.model.threads import share
 
 BOUNDARIES = ("zero", "reflect", "natural")
 ALPHA_RANGE = (0.0, 2.0)
-#: On longer lines the product with a triangle is faster than that with a full matrix.
-LEAST_TRIANGLE = 100
+#: On shorter lines a product with the matrix is faster than a sum of exponentials.
+LEAST_SUMMED = 101
 #: Rows of a product that is shared by threads.
 BLOCK_ROWS = 240
 
@@ -82,16 +83,17 @@ class LeftDerivative:
     """
 
     def __init__(self, alpha: float, n: int, pad: int, dtype: np.dtype | type) -> None:
-        matrix = left_derivative_matrix(alpha, n, pad).astype(dtype)
-        # and its transpose, with which a product from the right is faster
-        self.matrices = matrix, np.ascontiguousarray(matrix.T)
         weights = gl_weights(alpha, n)
-        self._band = None  # the weights of a whole order, which are few
-        if not pad and np.count_nonzero(weights) <= 3:
+        self._band, self._sum = None, None
+        if not pad and np.count_nonzero(weights) <= 3:  # those of a whole order
             self._band = np.trim_zeros(weights, "b").astype(dtype)
-        self._triangle = not pad and n > LEAST_TRIANGLE
-        self.in_full = self._band is None and not self._triangle
-        self._multiply = scipy.linalg.get_blas_funcs("trmm", dtype=np.dtype(dtype))
+        elif not pad and n >= LEAST_SUMMED and np.dtype(dtype) == np.float32:
+            self._sum = _exponentials(alpha, n)
+        self.in_full = self._band is None and self._sum is None
+        if self.in_full:
+            matrix = left_derivative_matrix(alpha, n, pad).astype(dtype)
+            # and its transpose, with which a product from the right is faster
+            self.matrices = matrix, np.ascontiguousarray(matrix.T)
 
     def apply(self, u: Array, axis: int, out: Array) -> None:
         """Write ``sum_k w_k u(j - k)`` along `axis` of `u` (0: y, 1: x); without padding `out` is C-contiguous."""
@@ -102,21 +104,22 @@ class LeftDerivative:
         self._times(d, axis, True, out)
 
     def _times(self, x: Array, axis: int, transposed: bool, out: Array) -> None:
-        matrix, back = self.matrices[::-1] if transposed else self.matrices
         if self._band is not None:
             (_weigh_after if transposed else _weigh_before)(x, self._band, axis, out)
-        elif self._triangle:
-            self._in_place(x, axis, transposed, out)
-        elif axis == 1:
-            np.matmul(x, back, out=out)
+        elif self._sum is not None:
+            weights = self._sum
+            share(lambda a, b: convolve(x, axis, a, b, weights, transposed, out), x.shape[1 - axis])
         else:
-            np.matmul(matrix, x, out=out)
+            matrix, back = self.matrices[::-1] if transposed else self.matrices
+            if axis == 1:
+                np.matmul(x, back, out=out)
+            else:
+                np.matmul(matrix, x, out=out)
 
-    def _in_place(self, x: Array, axis: int, transposed: bool, out: Array) -> None:
-        out[...] = x
-        # BLAS sees columns where NumPy has rows: to it `out` is its transpose, and the axes change sides.
-        side, trans = (0, transposed) if axis else (1, not transposed)
-        self._multiply(1.0, self.matrices[1].T, out.T, side=side, lower=1, trans_a=trans, overwrite_b=1)
+
+@lru_cache(maxsize=256)
+def _exponentials(alpha: float, n: int) -> ExponentialSum | None:
+    return exponential_sum(gl_weights(alpha, n), np.float32)
 
 
 @jit

@@ -26,7 +26,7 @@ LINES = 2 * LANES
 
 
 @jit
-def _gather(image: Array, axis: int, first: int, rows: NDArray[np.intp], work: Array, base: int) -> None:
+def gather(image: Array, axis: int, first: int, rows: NDArray[np.intp], work: Array, base: int) -> None:
     """Put element j of the lines `first`, `first` + 1, ... into row ``base + rows[j]``: eight, and eight more.
 
     Where fewer are left, the last one is repeated.
@@ -70,10 +70,10 @@ def _gather_eight(image: Array, axis: int, first: int, rows: NDArray[np.intp], w
 
 
 @jit
-def _scatter(
+def scatter(
     work: Array, base: int, rows: NDArray[np.intp], image: Array, axis: int, first: int, turned: bool
 ) -> None:
-    """Undo `_gather`; where the real and the imaginary parts are `turned`, these are the first eight lines."""
+    """Undo `gather`; where the real and the imaginary parts are `turned`, these are the first eight lines."""
     if axis == 0 and first + LINES <= image.shape[1]:
         one, other = (first + LANES, first) if turned else (first, first + LANES)
         for j in range(len(image)):
@@ -193,10 +193,10 @@ def cosine(x: Array, axis: int, start: int, stop: int, factor: Array, plan: Line
     """
     work, base = np.empty((2 * plan.results.size, LANES), x.dtype), int(np.intp(0))  # as in `fourier`
     for first in range(start, stop, LINES):
-        _gather(x, axis, first, plan.forth, work, base)
+        gather(x, axis, first, plan.forth, work, base)
         fourier(work, base, plan)
         _from_fourier(work, base, plan, factor, False)
-        _scatter(work, base, plan.results, out, axis, first, False)
+        scatter(work, base, plan.results, out, axis, first, False)
 
 
 @jit
@@ -204,10 +204,10 @@ def cosine_back(x: Array, axis: int, start: int, stop: int, factor: Array, plan:
     """Write the lines whose cosine coefficients are ``factor(k) x(k)``; parameters as for `cosine`."""
     work, base = np.empty((2 * plan.results.size, LANES), x.dtype), int(np.intp(0))  # as in `fourier`
     for first in range(start, stop, LINES):
-        _gather(x, axis, first, plan.natural, work, base)
+        gather(x, axis, first, plan.natural, work, base)
         _to_fourier(work, base, plan, factor, False)
         fourier(work, base, plan)
-        _scatter(work, base, plan.back, out, axis, first, True)
+        scatter(work, base, plan.back, out, axis, first, True)
 
 
 @jit
@@ -230,7 +230,7 @@ def derivatives(
     n = plan.results.size
     work = np.empty((4 * n, LANES), x.dtype)
     for first in range(start, stop, LINES):
-        _gather(x, axis, first, plan.natural, work, 0)
+        gather(x, axis, first, plan.natural, work, 0)
         for row in range(n):
             ar, ai = get(work, row)
             put(work, n + row, ar, ai)
@@ -248,7 +248,7 @@ def derivatives(
                 put(work, row, ar - br, ai - bi)
                 put(work, n + row, ar + br, ai + bi)
         for side in range(2):
-            _scatter(work, side * n, plan.back, out[side, 1 - axis], axis, first, True)
+            scatter(work, side * n, plan.back, out[side, 1 - axis], axis, first, True)
 
 
 @jit
@@ -283,7 +283,7 @@ def derivatives_adjoint(
     work = np.empty((4 * n, LANES), d.dtype)
     for first in range(start, stop, LINES):
         for side in range(2):
-            _gather(d[side, 1 - axis], axis, first, plan.forth, work, side * n)
+            gather(d[side, 1 - axis], axis, first, plan.forth, work, side * n)
         for row in range(n):
             lr, li = get(work, row)
             rr, ri = get(work, n + row)
@@ -299,12 +299,12 @@ def derivatives_adjoint(
             # a sine coefficient stands in its mirror's row, that of frequency 0 (nothing) in its own
             _add_row(work, plan.results[k], n + plan.results[(n - k) % n])
         if direct.size:
-            _gather(v, axis, first, plan.forth, work, n)
+            gather(v, axis, first, plan.forth, work, n)
             fourier(work, n, plan)
             _from_fourier(work, n, plan, direct, False)
             for row in range(n):
                 _add_row(work, row, n + row)
-        _scatter(work, 0, plan.results, out, axis, first, False)
+        scatter(work, 0, plan.results, out, axis, first, False)
 
 
 @jit
