@@ -40,7 +40,7 @@ test: $(VENV)/.ready ## all tests
 
 test-python: $(VENV)/.ready ## the numerics without compilation: the same code as plain Python
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q $(addprefix tests/model/test_, $(addsuffix .py, \
-	  transforms proximal linear natural warping pyramid))
+	  transforms proximal linear natural exponentials elimination warping pyramid))
 
 lint: $(VENV)/.ready ## style and types
 	$(BIN)/ruff check .

@@ -102,11 +102,11 @@ def convolve(
     n, terms = x.shape[axis], weights.ratios.size
     taps, ratios, factors = weights
     natural = np.arange(n)
-    work, state = np.empty((2 * n, LANES), x.dtype), np.empty((2 * terms, LANES), x.dtype)
+    work, state = np.empty((2 * n, LANES), x.dtype), np.empty((2 * (terms + 1), LANES), x.dtype)
     for first in range(start, stop, LINES):
         gather(x, axis, first, natural, work, 0)
         state[...] = 0.0
-        a1, b1 = get(state, 0)
+        a1, b1 = get(state, terms)
         a2, b2 = a1, b1
         for k in range(n):
             row = n - 1 - k if reverse else k

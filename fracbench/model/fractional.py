@@ -11,6 +11,7 @@ import scipy.linalg
 from fracbench.errors import InputError, unknown_name
 from fracbench.model._jit import jit
 from fracbench.model.arrays import Array, Float64Array
+from fracbench.model.elimination import line_gains, solve_lines
 from fracbench.model.exponentials import ExponentialSum, convolve, exponential_sum
 from fracbench.model.gradient import GradientOperator
 from fracbench.model.proximal import divide_by_sum
@@ -20,8 +21,8 @@ from fracbench.model.threads import share
 BOUNDARIES = ("zero", "reflect", "natural")
 ALPHA_RANGE = (0.0, 2.0)
 #: On shorter lines a product with the matrix is faster than a sum of exponentials.
-LEAST_SUMMED = 101
-#: Rows of a product that is shared by threads.
+LEAST_SUMMED = 64
+#: Rows of a product that threads share.
 BLOCK_ROWS = 240
 
 
@@ -72,7 +73,7 @@ def left_derivative_matrix(alpha: float, n: int, pad: int = 0) -> Float64Array:
 
 
 class LeftDerivative:
-    """The left derivative along one axis, `left_derivative_matrix`, in the fastest of its forms.
+    """The left derivative along one axis, `left_derivative_matrix`, in the faster of two forms.
 
     Parameters
     ----------
@@ -80,19 +81,20 @@ class LeftDerivative:
         See `left_derivative_matrix`.
     dtype : dtype-like
         Precision.
+
+    Attributes
+    ----------
+    memory : ExponentialSum or None
+        What the weights are a sum of: those of a whole order exactly, of others on long lines in single precision.
+    matrices : tuple of ndarray
+        Where there is no memory, the matrix and its transpose, with which a product from the right is faster.
     """
 
     def __init__(self, alpha: float, n: int, pad: int, dtype: np.dtype | type) -> None:
-        weights = gl_weights(alpha, n)
-        self._band, self._sum = None, None
-        if not pad and np.count_nonzero(weights) <= 3:  # those of a whole order
-            self._band = np.trim_zeros(weights, "b").astype(dtype)
-        elif not pad and n >= LEAST_SUMMED and np.dtype(dtype) == np.float32:
-            self._sum = _exponentials(alpha, n)
-        self.in_full = self._band is None and self._sum is None
-        if self.in_full:
+        self.memory = None if pad else _memory(alpha, n, np.dtype(dtype))
+        self.matrices: tuple[Array, ...] = ()
+        if self.memory is None:
             matrix = left_derivative_matrix(alpha, n, pad).astype(dtype)
-            # and its transpose, with which a product from the right is faster
             self.matrices = matrix, np.ascontiguousarray(matrix.T)
 
     def apply(self, u: Array, axis: int, out: Array) -> None:
@@ -104,54 +106,24 @@ class LeftDerivative:
         self._times(d, axis, True, out)
 
     def _times(self, x: Array, axis: int, transposed: bool, out: Array) -> None:
-        if self._band is not None:
-            (_weigh_after if transposed else _weigh_before)(x, self._band, axis, out)
-        elif self._sum is not None:
-            weights = self._sum
+        weights = self.memory
+        if weights is not None:
             share(lambda a, b: convolve(x, axis, a, b, weights, transposed, out), x.shape[1 - axis])
+            return
+        matrix, back = self.matrices[::-1] if transposed else self.matrices
+        if axis == 1:
+            np.matmul(x, back, out=out)
         else:
-            matrix, back = self.matrices[::-1] if transposed else self.matrices
-            if axis == 1:
-                np.matmul(x, back, out=out)
-            else:
-                np.matmul(matrix, x, out=out)
+            np.matmul(matrix, x, out=out)
 
 
 @lru_cache(maxsize=256)
-def _exponentials(alpha: float, n: int) -> ExponentialSum | None:
-    return exponential_sum(gl_weights(alpha, n), np.float32)
-
-
-@jit
-def _weigh_before(x: Array, weights: Array, axis: int, out: Array) -> None:
-    """Write ``sum_k weights(k) x(j - k)`` along `axis`, x being 0 outside."""
-    height, width = x.shape
-    for i in range(height):
-        for j in range(width):
-            out[i, j] = weights[0] * x[i, j]
-        for k in range(1, weights.size):
-            if axis == 1:
-                for j in range(k, width):
-                    out[i, j] += weights[k] * x[i, j - k]
-            elif i >= k:
-                for j in range(width):
-                    out[i, j] += weights[k] * x[i - k, j]
-
-
-@jit
-def _weigh_after(x: Array, weights: Array, axis: int, out: Array) -> None:
-    """Write ``sum_k weights(k) x(j + k)`` along `axis`, x being 0 outside."""
-    height, width = x.shape
-    for i in range(height):
-        for j in range(width):
-            out[i, j] = weights[0] * x[i, j]
-        for k in range(1, weights.size):
-            if axis == 1:
-                for j in range(width - k):
-                    out[i, j] += weights[k] * x[i, j + k]
-            elif i + k < height:
-                for j in range(width):
-                    out[i, j] += weights[k] * x[i + k, j]
+def _memory(alpha: float, n: int, dtype: np.dtype) -> ExponentialSum | None:
+    weights = gl_weights(alpha, max(n, 3))
+    if not weights[3:].any():  # a whole order: what lies three samples back counts for nothing
+        rest = np.trim_zeros(weights[2:3]).astype(dtype)
+        return ExponentialSum(weights[:2].astype(dtype), np.zeros_like(rest), rest)
+    return exponential_sum(weights, dtype) if n >= LEAST_SUMMED and dtype == np.float32 else None
 
 
 @jit
@@ -172,13 +144,13 @@ def _solve_small(
 
     Called one by one from Python, the products of small matrices take less time than the calls.
     """
-    ty, ty_back, tx, tx_back, qy, qx, qx_back = matrices
+    ty, ty_back, tx, tx_back, qy, qy_back, qx, qx_back = matrices
     along_y, along_x = system
     y = w[0, 0]  # free once its adjoint is taken
     np.dot(y, tx, u)
     np.dot(ty_back, w[0, 1], y)
     _weigh_right_hand_side(v, theta, mu, y, u)
-    np.dot(qy.T, u, y)
+    np.dot(qy_back, u, y)
     np.dot(y, qx, u)
     divide_by_sum(u, along_y, along_x)
     np.dot(qy, u, y)
@@ -205,12 +177,11 @@ class ZeroGradient(GradientOperator):
         self.pad = pad
         height, width = shape
         self.range_shape = (1, 2, height + pad, width + pad)
-        self._dy, self._dx = (LeftDerivative(self.alpha, n, pad, self.dtype) for n in shape)
-        self._ly, qy = _eigenbasis(self.alpha, height, pad)
-        self._lx, qx = _eigenbasis(self.alpha, width, pad)
-        self._qy, self._qx = qy.astype(self.dtype), qx.astype(self.dtype)
-        self._qx_back = np.ascontiguousarray(self._qx.T)
-        self._small = not pad and self._dy.in_full and self._dx.in_full
+        self._along = [LeftDerivative(self.alpha, n, pad, self.dtype) for n in shape]
+        # The lines to eliminate in, in a basis of the other axis: the longer ones, as the products take the rest.
+        axes = (1, 0) if width >= height else (0, 1)
+        memories = [(axis, memory) for axis in axes if (memory := self._along[axis].memory) is not None]
+        self._lines = memories[0] if memories else None
 
     def apply(self, u: Array) -> Array:
         d = np.empty(self.range_shape, self.dtype)
@@ -221,8 +192,9 @@ class ZeroGradient(GradientOperator):
         height, width = self.shape
         d[0, 0, height:] = 0.0  # on the padding below and beside the image
         d[0, 1, :, width:] = 0.0
-        self._dx.apply(u, 1, d[0, 0, :height])
-        self._dy.apply(u, 0, d[0, 1, :, :width])
+        along_y, along_x = self._along
+        along_x.apply(u, 1, d[0, 0, :height])
+        along_y.apply(u, 0, d[0, 1, :, :width])
 
     def adjoint(self, d: Array) -> Array:
         x, y = np.empty((2, *self.shape), self.dtype)
@@ -233,36 +205,58 @@ class ZeroGradient(GradientOperator):
     def _adjoints(self, d: Array, x: Array, y: Array) -> None:
         """Write the adjoints of the derivatives along x and y to `x` and `y`; `y` may be the former's plane."""
         height, width = self.shape
-        self._dx.adjoint(d[0, 0, :height], 1, x)
-        self._dy.adjoint(d[0, 1, :, :width], 0, y)
+        along_y, along_x = self._along
+        along_x.adjoint(d[0, 0, :height], 1, x)
+        along_y.adjoint(d[0, 1, :, :width], 0, y)
 
     def to_basis(self, u: Array) -> Array:
-        return self._qy.T @ u @ self._qx
+        return self._basis(0)[2] @ u @ self._basis(1)[1]
 
     def from_basis(self, coefficients: Array) -> Array:
-        return self._qy @ coefficients @ self._qx_back
-
-    def solve(self, v: Array, w: Array, theta: float, mu: float, system: tuple[Array, ...], u: Array) -> None:
-        if self._small:
-            matrices = *self._dy.matrices, *self._dx.matrices, self._qy, self._qx, self._qx_back
-            _solve_small(v, w, theta, mu, matrices, system, u)
-            return
-        height, width = self.shape
-        y = w[0, 0, :height, :width]  # free once its adjoint is taken
-        self._adjoints(w, u, y)
-        _weigh_right_hand_side(v, theta, mu, y, u)
-        if self.alpha == 0.0:  # the operator is the identity, in any basis
-            divide_by_sum(u, *system)
-        else:
-            _product(self._qy.T, u, y)
-            _product(y, self._qx, u)
-            divide_by_sum(u, *system)
-            _product(self._qy, u, y)
-            _product(y, self._qx_back, u)
-        self.differentiate(u, w)
+        return self._basis(0)[1] @ coefficients @ self._basis(1)[2]
 
     def eigenvalues(self) -> tuple[Float64Array, Float64Array]:
-        return self._ly, self._lx
+        return self._basis(0)[0], self._basis(1)[0]
+
+    def _basis(self, axis: int) -> tuple[Float64Array, Array, Array]:
+        return _eigenbasis(self.alpha, self.shape[axis], self.pad, self.dtype)
+
+    def factor(self, theta: float, mu: float) -> tuple[Array, ...]:
+        """Return the gains of the lines' systems that a basis of the other axis leaves, if they have a memory."""
+        if self._lines is None:
+            return super().factor(theta, mu)
+        axis, weights = self._lines
+        eigenvalues, _, _ = self._basis(1 - axis)
+        return (line_gains(weights, 1.0 / theta + mu * eigenvalues, mu, self.shape[axis]),)
+
+    def solve(self, v: Array, w: Array, theta: float, mu: float, system: tuple[Array, ...], u: Array) -> None:
+        if self._lines is not None:
+            axis, weights = self._lines
+            self._solve_by_lines(v, w, theta, mu, axis, weights.ratios, system[0], u)
+        elif self.pad:
+            super().solve(v, w, theta, mu, system, u)
+        else:
+            matrices = [matrix for along in self._along for matrix in along.matrices]
+            bases = [matrix for axis in (0, 1) for matrix in self._basis(axis)[1:]]
+            _solve_small(v, w, theta, mu, (*matrices, *bases), system, u)
+
+    def _solve_by_lines(
+        self, v: Array, w: Array, theta: float, mu: float, axis: int, ratios: Array, gains: Array, u: Array
+    ) -> None:
+        _, basis, transpose = self._basis(1 - axis)
+        y = w[0, 0]  # free once its adjoint is taken
+        self._adjoints(w, u, y)
+        _weigh_right_hand_side(v, theta, mu, y, u)
+        if axis == 1:
+            _product(transpose, u, y)
+        else:
+            _product(u, basis, y)
+        share(lambda a, b: solve_lines(y, axis, a, b, ratios, gains), self.shape[1 - axis])
+        if axis == 1:
+            _product(basis, y, u)
+        else:
+            _product(y, transpose, u)
+        self.differentiate(u, w)
 
     def normal_matrices(self) -> tuple[Float64Array, Float64Array]:
         ty = left_derivative_matrix(self.alpha, self.shape[0], self.pad)
@@ -287,11 +281,13 @@ def _product(a: Array, b: Array, out: Array) -> None:
 # As many bases as a sweep of 21 orders comes back to at six scales (with fewer it would find none of them): 15 MB
 # on a region, 150 MB on whole frames.
 @lru_cache(maxsize=256)
-def _eigenbasis(alpha: float, n: int, pad: int) -> tuple[Float64Array, Float64Array]:
+def _eigenbasis(alpha: float, n: int, pad: int, dtype: np.dtype) -> tuple[Float64Array, Array, Array]:
+    """Return the eigenvalues of ``T^T T``, a matrix of its eigenvectors in columns, and the transpose."""
     t = left_derivative_matrix(alpha, n, pad)
     # The singular values of T, squared, keep the small eigenvalues of T^T T accurate.
     _, singular, right = scipy.linalg.svd(t, full_matrices=False)
-    return singular**2, np.ascontiguousarray(right.T)
+    back = np.ascontiguousarray(right, dtype)
+    return singular**2, np.ascontiguousarray(back.T), back
 
 
 def make_operator(

@@ -1,0 +1,181 @@
+r"""Long convolutions undone line by line: the u-system under `zero` where a basis has made one axis diagonal.
+
+A left derivative is the output of a system with a short memory (`fracbench.model.exponentials`). Before sample j
+it knows ``x_0 = u(j - 1)`` and one number an exponential, ``x_m = sum_{k >= 2} rho_m^(k - 2) u(j - k)``, and gives
+``u(j) + w x`` with ``w = (w_1, c_1, ..., c_M)``. So ``(s + mu T^T T) u = f`` is a control problem: find the least
+``sum_j s/2 u(j)^2 + mu/2 (u(j) + w x(j))^2 - f(j) u(j)``. From the last sample back (Bellman), the best u(j) is
+linear in what is known before it, and what that costs is quadratic again,
+
+    ``u(j) = (f(j) + q_0(j + 1)) / r(j) - k(j) x(j)``.
+
+The gains k and r are a matter of s and mu alone (a Riccati recursion). With them a line takes one pass backwards,
+which carries q, and one forwards, which carries x. With a memory of one sample, it is the elimination in
+`fracbench.model.natural`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from fracbench.model._jit import jit
+from fracbench.model._lanes import LANES
+from fracbench.model.arrays import Array, Float64Array
+from fracbench.model.exponentials import ExponentialSum
+from fracbench.model.fourier import get, put
+from fracbench.model.transforms import LINES, gather, scatter
+
+
+def line_gains(weights: ExponentialSum, direct: Float64Array, mu: float, n: int) -> Array:
+    """Eliminate in the lines' systems, ``direct(i) + mu T^T T``.
+
+    Parameters
+    ----------
+    weights : ExponentialSum
+        The left derivative T; the first weight is 1.
+    direct : ndarray, shape (lines,), float64
+        ``1/theta + mu l`` with the other axis' eigenvalues l, positive.
+    mu : float
+        Split Bregman parameter.
+    n : int
+        Length of the lines.
+
+    Returns
+    -------
+    ndarray, shape (ceil(lines / LINES), steps, 2 (M + 2), LANES)
+        By blocks of lines and from the last sample on, until they repeat themselves: ``1 / r`` and the gains on x,
+        in the precision of `weights`.
+    """
+    blocks, dtype = math.ceil(len(direct) / LINES), weights.ratios.dtype
+    lanes = np.pad(direct, (0, blocks * LINES - len(direct)), mode="edge").reshape(blocks, LINES)
+    known = np.concatenate([weights.taps[1:], weights.factors]).astype(np.float64)
+    ratios = weights.ratios.astype(np.float64)
+    gains = np.empty((blocks, n, len(known) + 1, LINES), dtype)  # pages that nothing is written to cost nothing
+    steps = _eliminate(known, ratios, lanes, mu, float(np.finfo(dtype).eps), gains)
+    return np.ascontiguousarray(gains[:, :steps]).reshape(blocks, steps, -1, LANES)
+
+
+@jit
+def _eliminate(
+    known: Float64Array, ratios: Float64Array, lanes: Float64Array, mu: float, tolerance: float, gains: Array
+) -> int:
+    """Write the gains of all blocks, and return how many steps the slowest takes until they repeat themselves.
+
+    From step to step, what x costs changes by ``change y y^T``, of rank one: a step takes a few operations a state
+    (the Riccati recursion in Chandrasekhar's form).
+    """
+    blocks, n, size, _ = gains.shape
+    states, longest, taken = size - 1, 0, np.empty(blocks, np.intp)
+    r, change, kr, y = np.empty(LINES), np.empty(LINES), np.empty((states, LINES)), np.empty((states, LINES))
+    gain, drift = np.zeros((states, LINES)), np.empty(LINES)
+    for block in range(blocks):
+        for i in range(LINES):
+            r[i] = lanes[block, i] + mu
+            change[i] = mu * lanes[block, i] / r[i]
+        for m in range(states):
+            y[m] = known[m]
+            kr[m] = mu * known[m]
+        for step in range(n):
+            taken[block] = step + 1
+            drift[...] = 0.0
+            for m in range(states):
+                reach = 1.0 / (1.0 - ratios[m - 1]) if m > 0 else 1.0  # the most that x_m makes of u
+                for i in range(LINES):
+                    before = gain[m, i]
+                    gain[m, i] = kr[m, i] / r[i]
+                    gains[block, step, m + 1, i] = gain[m, i]
+                    drift[i] += reach * abs(gain[m, i] - before)
+            for i in range(LINES):
+                gains[block, step, 0, i] = 1.0 / r[i]
+            # what is to come is about as much a step, and falls at least as the inverse of their number
+            if step > 0 and (step + 1) * drift.max() <= tolerance:
+                break
+            _step_back(ratios, gain, r, change, kr, y)
+        longest = max(longest, taken[block])
+    for block in range(blocks):
+        for step in range(taken[block], longest):
+            gains[block, step] = gains[block, taken[block] - 1]
+    return longest
+
+
+@jit
+def _step_back(
+    ratios: Float64Array,
+    gain: Float64Array,
+    r: Float64Array,
+    change: Float64Array,
+    kr: Float64Array,
+    y: Float64Array,
+) -> None:
+    """Go to the sample before; to the next, x goes as ``x_m <- rho_m x_m + x_0``, ``x_0 <- u``."""
+    passed, fed, rise = np.zeros(LINES), np.empty(LINES), np.empty(LINES)
+    for m in range(1, len(y)):
+        for i in range(LINES):
+            passed[i] += y[m, i]
+    for i in range(LINES):
+        fed[i] = y[0, i]
+        rise[i] = change[i] * fed[i]
+        larger = r[i] + rise[i] * fed[i]
+        change[i] *= r[i] / larger
+        r[i] = larger
+    for m in range(len(y)):
+        for i in range(LINES):
+            back = ratios[m - 1] * y[m, i] if m > 0 else passed[i]
+            kr[m, i] += rise[i] * back
+            y[m, i] = back - gain[m, i] * fed[i]
+
+
+@jit
+def solve_lines(x: Array, axis: int, start: int, stop: int, ratios: Array, gains: Array) -> None:
+    """Solve the systems of the lines ``start..stop-1``.
+
+    Parameters
+    ----------
+    x : ndarray, shape (H, W), C-contiguous
+        Right-hand sides, overwritten by the solutions.
+    axis : {0, 1}
+        Axis along which the lines run.
+    start, stop : int
+        Lines; `start` is a multiple of `LINES`.
+    ratios : ndarray, shape (M,)
+        Of the exponentials, in x's precision.
+    gains : ndarray
+        From `line_gains`.
+    """
+    n, terms, steps = x.shape[axis], ratios.size, gains.shape[1]
+    natural = np.arange(n)
+    work, state = np.empty((2 * n, LANES), x.dtype), np.empty((2 * (terms + 1), LANES), x.dtype)
+    for first in range(start, stop, LINES):
+        block = gains[first // LINES]
+        gather(x, axis, first, natural, work, 0)
+        state[...] = 0.0
+        q, r = get(state, terms)
+        for k in range(n - 1, -1, -1):
+            gain = block[min(n - 1 - k, steps - 1)]
+            f, g = get(work, k)
+            a, b = f + q, g + r
+            put(work, k, a, b)
+            c, d = get(gain, 1)
+            q, r = a - a - c * a, b - b - d * b
+            for m in range(terms):
+                f, g = get(state, m)
+                q, r = q + f, r + g
+                c, d = get(gain, m + 2)
+                put(state, m, ratios[m] * f - c * a, ratios[m] * g - d * b)
+        state[...] = 0.0
+        p, o = get(state, terms)
+        for k in range(n):
+            gain = block[min(n - 1 - k, steps - 1)]
+            a, b = get(work, k)
+            c, d = get(gain, 0)
+            f, g = get(gain, 1)
+            u, v = c * a - f * p, d * b - g * o
+            for m in range(terms):
+                c, d = get(gain, m + 2)
+                f, g = get(state, m)
+                u, v = u - c * f, v - d * g
+                put(state, m, ratios[m] * f + p, ratios[m] * g + o)
+            put(work, k, u, v)
+            p, o = u, v
+        scatter(work, 0, natural, x, axis, first, False)
