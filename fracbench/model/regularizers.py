@@ -145,7 +145,7 @@ class SplitBregman:
     theta, mu : float
         Tightness of the coupling of u and v, and split Bregman parameter lambda_sb.
     u_solver : {'exact', 'gauss_seidel', 'jacobi'}
-        Division in the operator's basis, one sweep in raster order, or one of the printed fixed point.
+        The operator's own `solve`, one sweep in raster order, or one of the printed fixed point.
     inner : {'warm', 'cold'}
         `warm` keeps d and b between calls and takes one Bregman step a call. `cold` is the paper's:
         each call starts from u = v, d = b = 0 and iterates until the root mean square of a
@@ -174,7 +174,11 @@ class SplitBregman:
         self.operator = operator
         self._theta, self._mu = theta, mu
         weights = operator.pixel_weights
-        self._threshold = 1.0 / mu if weights is None else weights / weights.dtype.type(mu)
+        # Not 0, which would be divided by norms whose squares are no normal numbers.
+        self._least = float(np.finfo(operator.dtype).eps ** 2)
+        self._threshold = (
+            1.0 / mu if weights is None else np.maximum(weights / weights.dtype.type(mu), self._least)
+        )
         self._solver = u_solver
         self._cold = inner == "cold"
         self._relaxation = relaxation if u_solver == "exact" and not self._cold else 1.0
@@ -237,12 +241,8 @@ class SplitBregman:
         gamma, relaxation = self._threshold, self._relaxation
         if warm and not self._started[component]:
             self._started[component] = True
-            self.operator.differentiate(u, w)  # d - b for d = D u, b = 0, a state that no z stands for
-            np.multiply(w, w.dtype.type(1.0 - relaxation), out=z)
-            self._u_step(v, w, u)
-            w *= w.dtype.type(relaxation)
-            z += w
-            return
+            self.operator.differentiate(u, z)
+            gamma = self._least  # all of z is d, and b = 0
         share(lambda a, b: shrink_difference(z, gamma, w, a, b), w.shape[2])
         self._u_step(v, w, u)
         share(lambda a, b: bregman_update(w, gamma, relaxation, z, a, b), w.shape[2])

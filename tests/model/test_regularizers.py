@@ -312,6 +312,17 @@ def test_the_first_warm_step_starts_from_the_flow_at_hand():
     np.testing.assert_allclose(out, V, atol=1e-12)
 
 
+@pytest.mark.parametrize("size", [1e-38, 1e-30, 1e-22, 1e-19, 1e-15])
+def test_the_first_warm_step_bears_what_squares_to_nothing(size):
+    u = np.full((2, *SHAPE), size, np.float32)
+    u[:, ::2] = 0.0
+    out = np.empty_like(u)
+    regularizer = SplitBregman(ZeroGradient(0.0, SHAPE, np.float32), THETA, MU, relaxation=1.7)
+    for _ in range(2):
+        regularizer.step(u, u, out)
+        np.testing.assert_allclose(out, u, atol=1e-14)
+
+
 def test_cold_calls_count_and_bound_their_iterations():
     operator = ZeroGradient(1.2, SHAPE)
     out = np.empty_like(V)
