@@ -60,9 +60,9 @@ class LinePlan(NamedTuple):
     quarter: Array
 
 
-#: Transforms of as many rows are completed one by one: 2 to 16 KB in float32, which the first-level cache holds.
+#: Transforms of as many rows are completed one by one: 6 to 16 KB in float32, which the first-level cache holds.
 #: For fewer the calls take longer than they spare.
-LEAST_ROWS, MOST_ROWS = 32, 256
+LEAST_ROWS, MOST_ROWS = 96, 256
 
 
 @lru_cache(maxsize=128)
