@@ -50,53 +50,50 @@ def line_gains(weights: ExponentialSum, direct: Float64Array, mu: float, n: int)
     blocks, dtype = math.ceil(len(direct) / LINES), weights.ratios.dtype
     lanes = np.pad(direct, (0, blocks * LINES - len(direct)), mode="edge").reshape(blocks, LINES)
     known = np.concatenate([weights.taps[1:], weights.factors]).astype(np.float64)
-    ratios = weights.ratios.astype(np.float64)
-    gains = np.empty((blocks, n, len(known) + 1, LINES), dtype)  # pages that nothing is written to cost nothing
-    steps = _eliminate(known, ratios, lanes, mu, float(np.finfo(dtype).eps), gains)
-    return np.ascontiguousarray(gains[:, :steps]).reshape(blocks, steps, -1, LANES)
+    ratios, tolerance = weights.ratios.astype(np.float64), float(np.finfo(dtype).eps)
+    room, parts = np.empty((n, len(known) + 1, LINES), dtype), []
+    for lane in lanes:
+        parts.append(room[: _eliminate(known, ratios, lane, mu, tolerance, room)].copy())
+    steps = np.arange(max(map(len, parts)))
+    gains = np.empty((blocks, len(steps), 2 * room.shape[1], LANES), dtype)
+    for block, part in zip(gains, parts, strict=True):
+        block[...] = part[np.minimum(steps, len(part) - 1)].reshape(block.shape)
+    return gains
 
 
 @jit
 def _eliminate(
     known: Float64Array, ratios: Float64Array, lanes: Float64Array, mu: float, tolerance: float, gains: Array
 ) -> int:
-    """Write the gains of all blocks, and return how many steps the slowest takes until they repeat themselves.
+    """Write the gains of some lines, and return how many steps they take until they repeat themselves.
 
     From step to step, what x costs changes by ``change y y^T``, of rank one: a step takes a few operations a state
     (the Riccati recursion in Chandrasekhar's form).
     """
-    blocks, n, size, _ = gains.shape
-    states, longest, taken = size - 1, 0, np.empty(blocks, np.intp)
-    r, change, kr, y = np.empty(LINES), np.empty(LINES), np.empty((states, LINES)), np.empty((states, LINES))
-    gain, drift = np.zeros((states, LINES)), np.empty(LINES)
-    for block in range(blocks):
-        for i in range(LINES):
-            r[i] = lanes[block, i] + mu
-            change[i] = mu * lanes[block, i] / r[i]
+    n, states = len(gains), known.size
+    r = lanes + mu
+    change = mu * lanes / r
+    kr, y, gain = np.empty((states, LINES)), np.empty((states, LINES)), np.zeros((states, LINES))
+    for m in range(states):
+        y[m] = known[m]
+        kr[m] = mu * known[m]
+    drift = np.empty(LINES)
+    for step in range(n):
+        drift[...] = 0.0
         for m in range(states):
-            y[m] = known[m]
-            kr[m] = mu * known[m]
-        for step in range(n):
-            taken[block] = step + 1
-            drift[...] = 0.0
-            for m in range(states):
-                reach = 1.0 / (1.0 - ratios[m - 1]) if m > 0 else 1.0  # the most that x_m makes of u
-                for i in range(LINES):
-                    before = gain[m, i]
-                    gain[m, i] = kr[m, i] / r[i]
-                    gains[block, step, m + 1, i] = gain[m, i]
-                    drift[i] += reach * abs(gain[m, i] - before)
+            reach = 1.0 / (1.0 - ratios[m - 1]) if m > 0 else 1.0  # the most that x_m makes of u
             for i in range(LINES):
-                gains[block, step, 0, i] = 1.0 / r[i]
-            # what is to come is about as much a step, and falls at least as the inverse of their number
-            if step > 0 and (step + 1) * drift.max() <= tolerance:
-                break
-            _step_back(ratios, gain, r, change, kr, y)
-        longest = max(longest, taken[block])
-    for block in range(blocks):
-        for step in range(taken[block], longest):
-            gains[block, step] = gains[block, taken[block] - 1]
-    return longest
+                before = gain[m, i]
+                gain[m, i] = kr[m, i] / r[i]
+                gains[step, m + 1, i] = gain[m, i]
+                drift[i] += reach * abs(gain[m, i] - before)
+        for i in range(LINES):
+            gains[step, 0, i] = 1.0 / r[i]
+        # what is to come is about as much a step, and falls at least as the inverse of their number
+        if step > 0 and (step + 1) * drift.max() <= tolerance:
+            return step + 1
+        _step_back(ratios, gain, r, change, kr, y)
+    return n
 
 
 @jit
