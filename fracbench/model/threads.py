@@ -15,7 +15,7 @@ from fracbench.model.transforms import LINES
 #: Fewer lines than this are not worth waking a thread for...
 LEAST_LINES = 64
 #: ...nor are images of fewer pixels...
-LEAST_PIXELS = 40_000
+LEAST_PIXELS = 15_000
 #: ...nor fewer lines than this of what takes a few operations a pixel.
 LEAST_LIGHT_LINES = 256
 
