@@ -77,6 +77,19 @@ def test_the_summary_is_relative_to_the_yardstick():
     assert np.isnan(benchmark.summarise(records, "absent")["ratio"]).all()
 
 
+def test_the_picture_names_every_contender_once_and_tells_ours_from_peers():
+    names = ["opencv_dis", "tvl1_sb_alpha zero alpha 1.2", "accurate", "tvl1_sb_alpha zero alpha 1"]
+    summary = pd.DataFrame({"contender": names, "seconds": [0.1, 0.2, 0.3, 0.4], "aepe": [1.0, 0.9, 0.8, 0.7]})
+    (axes,) = benchmark.error_against_time(summary, "").axes
+    drawn = {line.get_label(): (line.get_marker(), list(line.get_xdata())) for line in axes.lines}
+    assert drawn == {
+        "opencv_dis": ("s", [0.1]),
+        "tvl1_sb_alpha zero, alpha 1, 1.2": ("o", [0.4, 0.2]),
+        "accurate": ("o", [0.3]),
+    }
+    assert len({(line.get_marker(), line.get_color()) for line in axes.lines}) == 3
+
+
 def test_the_command_writes_table_and_picture(tmp_path, capsys):
     results = f"paths.results={tmp_path}"
     assert main(["bench", SCENE, results, "--repeats", "1", "--only", "tvl1"]) == 0

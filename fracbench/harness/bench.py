@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from statistics import median
 from typing import Any
 
+import numpy as np
+
 from fracbench.errors import InputError, unknown_name
 from fracbench.evaluation.structure import CLASSES
 from fracbench.harness.memory import peak_mib, reset_peak
@@ -174,7 +176,7 @@ def run(
                         "sequence": planned.labels["sequence"],
                         "aae": errors.aae,
                         "aepe": errors.aepe,
-                        "peak_mib": (peak_mib() or math.nan) - (before or math.nan),
+                        "peak_mib": float(np.maximum((peak_mib() or math.nan) - (before or math.nan), 0.0)),
                         "n_pixels": errors.n_pixels + errors.n_unknown,
                     }
     return [{**record, "seconds": median(seconds[place])} for place, record in records.items()]

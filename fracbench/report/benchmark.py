@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -37,7 +38,9 @@ def summarise(records: Sequence[Mapping[str, Any]], yardstick: str) -> pd.DataFr
 
 
 def error_against_time(summary: pd.DataFrame, title: str) -> Figure:
-    """Draw each contender's mean AEPE against its mean time, both logarithmic.
+    """Draw each contender's mean AEPE against its mean time, both logarithmic: ours as discs, peers as squares.
+
+    Contenders whose names differ only in alpha share a colour and a line.
 
     Parameters
     ----------
@@ -49,20 +52,26 @@ def error_against_time(summary: pd.DataFrame, title: str) -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
-        One panel.
+        One panel, its legend beside it.
     """
     from fracbench.report.style import PALETTE, house_style, new_figure
 
+    names = summary["contender"].str.partition(" alpha ")
+    colors = {"o": itertools.cycle(PALETTE), "s": itertools.cycle(PALETTE)}
     with house_style():
         figure = new_figure(4.6)
         axes = figure.subplots()
         axes.set(xscale="log", yscale="log", xlabel="seconds a sequence", ylabel="mean AEPE [px]", title=title)
-        for i, row in enumerate(summary.itertuples(index=False)):
-            ours = str(row.contender).startswith("tvl1")
-            axes.plot(row.seconds, row.aepe, "o" if ours else "s", color=PALETTE[0 if ours else 1])
-            axes.annotate(
-                str(row.contender), (row.seconds, row.aepe), xytext=(5, 4 if i % 2 else -9),
-                textcoords="offset points", fontsize=6.5,
-            )  # fmt: skip
-        axes.margins(x=0.2)
+        for family, rows in summary.groupby(names[0], sort=False):
+            alphas = names[2][rows.index].sort_values()
+            marker = "s" if str(family).startswith(("opencv_", "skimage_")) else "o"
+            axes.plot(
+                rows["seconds"][alphas.index],
+                rows["aepe"][alphas.index],
+                marker=marker,
+                linewidth=1,
+                color=next(colors[marker]),
+                label=f"{family}, alpha {', '.join(alphas)}" if alphas.any() else family,
+            )
+        figure.legend(loc="outside right upper")
     return figure
