@@ -16,8 +16,10 @@ which carries q, and one forwards, which carries x. With a memory of one sample,
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fracbench.model._jit import jit
 from fracbench.model._lanes import LANES
@@ -27,7 +29,22 @@ from fracbench.model.fourier import get, put
 from fracbench.model.transforms import LINES, gather, scatter
 
 
-def line_gains(weights: ExponentialSum, direct: Float64Array, mu: float, n: int) -> Array:
+class LineGains(NamedTuple):
+    """What is known of the lines' systems beforehand.
+
+    Attributes
+    ----------
+    rows : ndarray, shape (number, 2 (M + 2), LANES)
+        ``1 / r`` and the gains on x, of `LINES` lines each, in the precision of the weights.
+    which : ndarray of int, shape (ceil(lines / LINES), n)
+        The row of each block of lines and each sample, counted from the last one: they change less and less.
+    """
+
+    rows: Array
+    which: NDArray[np.intp]
+
+
+def line_gains(weights: ExponentialSum, direct: Float64Array, mu: float, n: int) -> LineGains:
     """Eliminate in the lines' systems, ``direct(i) + mu T^T T``.
 
     Parameters
@@ -43,57 +60,69 @@ def line_gains(weights: ExponentialSum, direct: Float64Array, mu: float, n: int)
 
     Returns
     -------
-    ndarray, shape (ceil(lines / LINES), steps, 2 (M + 2), LANES)
-        By blocks of lines and from the last sample on, until they repeat themselves: ``1 / r`` and the gains on x,
-        in the precision of `weights`.
+    LineGains
+        For `solve_lines`.
     """
     blocks, dtype = math.ceil(len(direct) / LINES), weights.ratios.dtype
     lanes = np.pad(direct, (0, blocks * LINES - len(direct)), mode="edge").reshape(blocks, LINES)
     known = np.concatenate([weights.taps[1:], weights.factors]).astype(np.float64)
     ratios, tolerance = weights.ratios.astype(np.float64), float(np.finfo(dtype).eps)
-    room, parts = np.empty((n, len(known) + 1, LINES), dtype), []
-    for lane in lanes:
-        parts.append(room[: _eliminate(known, ratios, lane, mu, tolerance, room)].copy())
-    steps = np.arange(max(map(len, parts)))
-    gains = np.empty((blocks, len(steps), 2 * room.shape[1], LANES), dtype)
-    for block, part in zip(gains, parts, strict=True):
-        block[...] = part[np.minimum(steps, len(part) - 1)].reshape(block.shape)
-    return gains
+    room, which = np.empty((n, len(known) + 1, LINES), dtype), np.empty((blocks, n), np.intp)
+    parts, number = [], 0
+    for lane, place in zip(lanes, which, strict=True):
+        parts.append(room[: _eliminate(known, ratios, lane, mu, tolerance, room, place)].copy())
+        place += number
+        number += len(parts[-1])
+    return LineGains(np.concatenate(parts).reshape(number, -1, LANES), which)
 
 
 @jit
 def _eliminate(
-    known: Float64Array, ratios: Float64Array, lanes: Float64Array, mu: float, tolerance: float, gains: Array
+    known: Float64Array,
+    ratios: Float64Array,
+    lanes: Float64Array,
+    mu: float,
+    tolerance: float,
+    rows: Array,
+    which: NDArray[np.intp],
 ) -> int:
-    """Write the gains of some lines, and return how many steps they take until they repeat themselves.
+    """Write the gains of some lines, each row for as long as they stay the same to rounding; return their number.
 
     From step to step, what x costs changes by ``change y y^T``, of rank one: a step takes a few operations a state
     (the Riccati recursion in Chandrasekhar's form).
     """
-    n, states = len(gains), known.size
+    n, states = len(rows), known.size
     r = lanes + mu
     change = mu * lanes / r
-    kr, y, gain = np.empty((states, LINES)), np.empty((states, LINES)), np.zeros((states, LINES))
+    y, kr = np.empty((states, LINES)), np.empty((states, LINES))
     for m in range(states):
         y[m] = known[m]
         kr[m] = mu * known[m]
-    drift = np.empty(LINES)
+    gain, kept = np.empty((states, LINES)), np.zeros((states, LINES))
+    inverse, drift = np.empty(LINES), np.empty(LINES)
+    number, since = 0, 0
     for step in range(n):
-        drift[...] = 0.0
+        for i in range(LINES):
+            inverse[i] = 1.0 / r[i]
+            drift[i] = 0.0
         for m in range(states):
             reach = 1.0 / (1.0 - ratios[m - 1]) if m > 0 else 1.0  # the most that x_m makes of u
             for i in range(LINES):
-                before = gain[m, i]
-                gain[m, i] = kr[m, i] / r[i]
-                gains[step, m + 1, i] = gain[m, i]
-                drift[i] += reach * abs(gain[m, i] - before)
-        for i in range(LINES):
-            gains[step, 0, i] = 1.0 / r[i]
-        # what is to come is about as much a step, and falls at least as the inverse of their number
-        if step > 0 and (step + 1) * drift.max() <= tolerance:
-            return step + 1
+                gain[m, i] = kr[m, i] * inverse[i]
+                drift[i] += reach * abs(gain[m, i] - kept[m, i])
+        if step == 0 or drift.max() > tolerance:
+            for i in range(LINES):
+                rows[number, 0, i] = inverse[i]
+            for m in range(states):
+                for i in range(LINES):
+                    rows[number, m + 1, i] = kept[m, i] = gain[m, i]
+            number, since = number + 1, step
+        which[step] = number - 1
+        if step > 2 * since:  # what is left changes at least as the inverse of the step: as much again at most
+            which[step:] = number - 1
+            break
         _step_back(ratios, gain, r, change, kr, y)
-    return n
+    return number
 
 
 @jit
@@ -124,7 +153,7 @@ def _step_back(
 
 
 @jit
-def solve_lines(x: Array, axis: int, start: int, stop: int, ratios: Array, gains: Array) -> None:
+def solve_lines(x: Array, axis: int, start: int, stop: int, ratios: Array, gains: LineGains) -> None:
     """Solve the systems of the lines ``start..stop-1``.
 
     Parameters
@@ -137,19 +166,20 @@ def solve_lines(x: Array, axis: int, start: int, stop: int, ratios: Array, gains
         Lines; `start` is a multiple of `LINES`.
     ratios : ndarray, shape (M,)
         Of the exponentials, in x's precision.
-    gains : ndarray
+    gains : LineGains
         From `line_gains`.
     """
-    n, terms, steps = x.shape[axis], ratios.size, gains.shape[1]
+    n, terms = x.shape[axis], ratios.size
+    rows, which = gains
     natural = np.arange(n)
     work, state = np.empty((2 * n, LANES), x.dtype), np.empty((2 * (terms + 1), LANES), x.dtype)
     for first in range(start, stop, LINES):
-        block = gains[first // LINES]
+        place = which[first // LINES]
         gather(x, axis, first, natural, work, 0)
         state[...] = 0.0
         q, r = get(state, terms)
         for k in range(n - 1, -1, -1):
-            gain = block[min(n - 1 - k, steps - 1)]
+            gain = rows[place[n - 1 - k]]
             f, g = get(work, k)
             a, b = f + q, g + r
             put(work, k, a, b)
@@ -163,7 +193,7 @@ def solve_lines(x: Array, axis: int, start: int, stop: int, ratios: Array, gains
         state[...] = 0.0
         p, o = get(state, terms)
         for k in range(n):
-            gain = block[min(n - 1 - k, steps - 1)]
+            gain = rows[place[n - 1 - k]]
             a, b = get(work, k)
             c, d = get(gain, 0)
             f, g = get(gain, 1)

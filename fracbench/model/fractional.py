@@ -11,9 +11,9 @@ import scipy.linalg
 from fracbench.errors import InputError, unknown_name
 from fracbench.model._jit import jit
 from fracbench.model.arrays import Array, Float64Array
-from fracbench.model.elimination import line_gains, solve_lines
+from fracbench.model.elimination import LineGains, line_gains, solve_lines
 from fracbench.model.exponentials import ExponentialSum, convolve, exponential_sum
-from fracbench.model.gradient import GradientOperator
+from fracbench.model.gradient import GradientOperator, System
 from fracbench.model.proximal import divide_by_sum
 from fracbench.model.reflected import NaturalGradient, ReflectGradient
 from fracbench.model.threads import share
@@ -138,7 +138,7 @@ def _weigh_right_hand_side(v: Array, theta: float, mu: float, y: Array, x: Array
 
 @jit
 def _solve_small(
-    v: Array, w: Array, theta: float, mu: float, matrices: tuple[Array, ...], system: tuple[Array, ...], u: Array
+    v: Array, w: Array, theta: float, mu: float, matrices: tuple[Array, ...], system: System, u: Array
 ) -> None:
     """Take the u-step by full products, without padding; see `ZeroGradient.solve`.
 
@@ -221,18 +221,18 @@ class ZeroGradient(GradientOperator):
     def _basis(self, axis: int) -> tuple[Float64Array, Array, Array]:
         return _eigenbasis(self.alpha, self.shape[axis], self.pad, self.dtype)
 
-    def factor(self, theta: float, mu: float) -> tuple[Array, ...]:
+    def factor(self, theta: float, mu: float) -> System:
         """Return the gains of the lines' systems that a basis of the other axis leaves, if they have a memory."""
         if self._lines is None:
             return super().factor(theta, mu)
         axis, weights = self._lines
         eigenvalues, _, _ = self._basis(1 - axis)
-        return (line_gains(weights, 1.0 / theta + mu * eigenvalues, mu, self.shape[axis]),)
+        return line_gains(weights, 1.0 / theta + mu * eigenvalues, mu, self.shape[axis])
 
-    def solve(self, v: Array, w: Array, theta: float, mu: float, system: tuple[Array, ...], u: Array) -> None:
+    def solve(self, v: Array, w: Array, theta: float, mu: float, system: System, u: Array) -> None:
         if self._lines is not None:
             axis, weights = self._lines
-            self._solve_by_lines(v, w, theta, mu, axis, weights.ratios, system[0], u)
+            self._solve_by_lines(v, w, theta, mu, axis, weights.ratios, LineGains(*system), u)
         elif self.pad:
             super().solve(v, w, theta, mu, system, u)
         else:
@@ -241,7 +241,7 @@ class ZeroGradient(GradientOperator):
             _solve_small(v, w, theta, mu, (*matrices, *bases), system, u)
 
     def _solve_by_lines(
-        self, v: Array, w: Array, theta: float, mu: float, axis: int, ratios: Array, gains: Array, u: Array
+        self, v: Array, w: Array, theta: float, mu: float, axis: int, ratios: Array, gains: LineGains, u: Array
     ) -> None:
         _, basis, transpose = self._basis(1 - axis)
         y = w[0, 0]  # free once its adjoint is taken

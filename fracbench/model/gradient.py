@@ -21,11 +21,15 @@ The adjoint under `zero` is the right derivative (the paper's integration by par
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import ClassVar
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fracbench.model.arrays import Array, Float64Array
+
+#: What a u-system is solved by.
+System: TypeAlias = tuple[NDArray[Any], ...]
 
 
 class GradientOperator(ABC):
@@ -90,7 +94,7 @@ class GradientOperator(ABC):
         """Write all derivatives of `u` to `d`, shape `range_shape`; an operator may have a faster way."""
         d[...] = self.apply(u)
 
-    def factor(self, theta: float, mu: float) -> tuple[Array, ...]:
+    def factor(self, theta: float, mu: float) -> System:
         """Return what `solve` needs to know of the u-system beforehand, ``1/theta + mu weight sum_pairs D^T D``.
 
         The default is ``1/theta + mu ly`` and ``mu lx`` of the eigenvalues ``ly``, ``lx``, whose outer sum is the
@@ -109,7 +113,7 @@ class GradientOperator(ABC):
         ly, lx = self.eigenvalues()
         return 1.0 / theta + mu * ly, mu * lx
 
-    def solve(self, v: Array, w: Array, theta: float, mu: float, system: tuple[Array, ...], u: Array) -> None:
+    def solve(self, v: Array, w: Array, theta: float, mu: float, system: System, u: Array) -> None:
         """Take the u-step of one component: minimise ``|u - v|^2 / (2 theta) + mu/2 weight |D u - w|^2``.
 
         The default is the formula; an operator that knows a faster way to the same numbers overrides it.

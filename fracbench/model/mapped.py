@@ -10,6 +10,7 @@ import numpy as np
 
 from fracbench.errors import InputError
 from fracbench.model.arrays import Array, Float64Array
+from fracbench.model.gradient import System
 from fracbench.model.reflected import CosineGradient, ReflectGradient
 
 
@@ -75,7 +76,7 @@ class MappedGradient(CosineGradient):
         for order, part in reversed(list(zip(self._orders, self._of_orders(d), strict=True))):
             order.spread(d[0], part)
 
-    def solve(self, v: Array, w: Array, theta: float, mu: float, system: tuple[Array, ...], u: Array) -> None:
+    def solve(self, v: Array, w: Array, theta: float, mu: float, system: System, u: Array) -> None:
         for k, (order, part) in enumerate(zip(self._orders, self._of_orders(w), strict=True)):
             order.collect(v, part, math.inf if k else theta, mu)
             if k:

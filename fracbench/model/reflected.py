@@ -10,7 +10,7 @@ import scipy.fft
 
 from fracbench.model.arrays import Array, Float64Array
 from fracbench.model.fourier import line_plan
-from fracbench.model.gradient import GradientOperator
+from fracbench.model.gradient import GradientOperator, System
 from fracbench.model.natural import column_pivots, differences, right_hand_side, solve_columns
 from fracbench.model.proximal import add_and_divide
 from fracbench.model.threads import share
@@ -42,7 +42,7 @@ class CosineGradient(GradientOperator):
         ny, nx = (_from_cosine_basis(eigenvalues) for eigenvalues in self.eigenvalues())
         return ny, nx
 
-    def divide(self, w: Array, system: tuple[Array, ...]) -> None:
+    def divide(self, w: Array, system: System) -> None:
         """Solve the u-system whose right-hand side `w` holds in two parts, each in the basis of its axis alone.
 
         Parameters
@@ -121,7 +121,7 @@ class ReflectGradient(CosineGradient):
         self.transform(u, d)
         self.spread(d[0], d)
 
-    def solve(self, v: Array, w: Array, theta: float, mu: float, system: tuple[Array, ...], u: Array) -> None:
+    def solve(self, v: Array, w: Array, theta: float, mu: float, system: System, u: Array) -> None:
         self.collect(v, w, theta, mu)
         self.divide(w, system)
         self.back(w, u)
@@ -198,7 +198,7 @@ class NaturalGradient(CosineGradient):
     def differentiate(self, u: Array, d: Array) -> None:
         differences(u, d)
 
-    def solve(self, v: Array, w: Array, theta: float, mu: float, system: tuple[Array, ...], u: Array) -> None:
+    def solve(self, v: Array, w: Array, theta: float, mu: float, system: System, u: Array) -> None:
         height, width = self.shape
         (inverse,) = system
         right_hand_side(v, w, theta, mu, u)
@@ -208,7 +208,7 @@ class NaturalGradient(CosineGradient):
         share(lambda a, b: cosine_back(u, 1, a, b, one, plan, u), height)
         self.differentiate(u, w)
 
-    def factor(self, theta: float, mu: float) -> tuple[Array, ...]:
+    def factor(self, theta: float, mu: float) -> System:
         """Return the pivots of the columns' tridiagonal systems that the DCT-II along x leaves."""
         _, lx = self.eigenvalues()
         return (column_pivots(1.0 / theta + mu * lx, mu, self.shape[0], self.dtype),)

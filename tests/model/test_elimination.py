@@ -29,7 +29,7 @@ def dense(rhs, direct, mu, alpha):
 def solved(rhs, direct, mu, alpha, axis=1):
     weights = LeftDerivative(alpha, rhs.shape[1], 0, rhs.dtype).memory
     gains = line_gains(weights, direct, mu, rhs.shape[1])
-    assert gains.dtype == rhs.dtype
+    assert gains.rows.dtype == rhs.dtype
     x = rhs.copy() if axis == 1 else np.ascontiguousarray(rhs.T)
     solve_lines(x, axis, 0, len(rhs), weights.ratios, gains)
     return x if axis == 1 else x.T
@@ -92,14 +92,14 @@ def test_gains_solve_the_riccati_equation_far_from_the_end():
         a, b, mu * np.outer(known, known), np.array([[s + mu]]), s=mu * known[:, None]
     )
     r = s + mu + cost[0, 0]
-    last = gains[0, -1].reshape(len(known) + 1, LINES)[:, 0]
+    last = gains.rows[gains.which[0, -1]].reshape(len(known) + 1, LINES)[:, 0]
     np.testing.assert_allclose(last[0], 1.0 / r, rtol=1e-6)
     np.testing.assert_allclose(last[1:], (mu * known + cost[0] @ a) / r, atol=1e-6)
 
 
 def test_gains_that_repeat_themselves_are_kept_once():
     weights = LeftDerivative(1.5, 2000, 0, np.float32).memory
-    assert line_gains(weights, np.array([3.0]), 5.0, 2000).shape[1] < 200
+    assert len(line_gains(weights, np.array([3.0]), 5.0, 2000).rows) < 200
 
 
 def test_what_is_not_finite_stays_seen():
