@@ -176,21 +176,21 @@ def solve_lines(x: Array, axis: int, start: int, stop: int, ratios: Array, gains
     for first in range(start, stop, LINES):
         place = which[first // LINES]
         gather(x, axis, first, natural, work, 0)
-        state[...] = 0.0
-        q, r = get(state, terms)
+        state[...] = 0.0  # q, without q_0
+        q, s = get(state, terms)
         for k in range(n - 1, -1, -1):
             gain = rows[place[n - 1 - k]]
             f, g = get(work, k)
-            a, b = f + q, g + r
+            a, b = f + q, g + s
             put(work, k, a, b)
             c, d = get(gain, 1)
-            q, r = a - a - c * a, b - b - d * b
+            q, s = a - a - c * a, b - b - d * b  # as x_0 goes into every other x_m, q_0 gathers every other q_m
             for m in range(terms):
                 f, g = get(state, m)
-                q, r = q + f, r + g
+                q, s = q + f, s + g
                 c, d = get(gain, m + 2)
                 put(state, m, ratios[m] * f - c * a, ratios[m] * g - d * b)
-        state[...] = 0.0
+        state[...] = 0.0  # x, without x_0
         p, o = get(state, terms)
         for k in range(n):
             gain = rows[place[n - 1 - k]]

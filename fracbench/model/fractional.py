@@ -120,7 +120,7 @@ class LeftDerivative:
 @lru_cache(maxsize=256)
 def _memory(alpha: float, n: int, dtype: np.dtype) -> ExponentialSum | None:
     weights = gl_weights(alpha, max(n, 3))
-    if not weights[3:].any():  # a whole order: what lies three samples back counts for nothing
+    if not weights[3:].any():  # a whole order, or a short line: nothing counts from three samples back
         rest = np.trim_zeros(weights[2:3]).astype(dtype)
         return ExponentialSum(weights[:2].astype(dtype), np.zeros_like(rest), rest)
     return exponential_sum(weights, dtype) if n >= LEAST_SUMMED and dtype == np.float32 else None
