@@ -117,6 +117,14 @@ def test_no_weight_leaves_the_data_alone(rng):
     np.testing.assert_allclose(minimise(MappedGradient([1.2], np.zeros((1, *SHAPE))), v), v, atol=1e-10)
 
 
+@pytest.mark.parametrize("size", [1e-30, 1e-22, 1e-19])
+def test_no_weight_bears_flows_that_square_to_nothing(size):
+    v = np.full((2, *SHAPE), size, np.float32)
+    v[:, ::2] = 0.0
+    operator = MappedGradient((0.0,), np.zeros((1, *SHAPE), np.float32), np.float32)
+    np.testing.assert_allclose(minimise(operator, v, iterations=3), v, atol=1e-14)
+
+
 @pytest.mark.parametrize(
     ("alphas", "shape", "value", "says"),
     [
