@@ -80,14 +80,35 @@ def test_in_parts(rng):
     np.testing.assert_array_equal(parts, whole)
 
 
+def control_problem(weights):
+    """The matrix that takes x to the next sample, without u, and what the derivative is made of x by."""
+    a = np.diag(np.r_[0.0, weights.ratios.astype(float)])
+    a[1:, 0] = 1.0
+    return a, np.r_[weights.taps[1:], weights.factors].astype(float)
+
+
+@pytest.mark.parametrize("alpha", [0.3, 0.9, 0.97, 1.1, 1.6])
+def test_gains_follow_the_riccati_recursion(alpha):
+    """Taken literally, with a full matrix; what the gains are off by moves u by no more than rounding does."""
+    mu, s, n = 5.0, 3.0, 640
+    weights = LeftDerivative(alpha, n, 0, np.float32).memory
+    gains, (a, known) = line_gains(weights, np.array([s]), mu, n), control_problem(weights)
+    reach, cost = 1.0 / (1.0 - np.r_[0.0, weights.ratios.astype(float)]), np.zeros_like(a)
+    for row in gains.which[0]:
+        r = s + mu + cost[0, 0]
+        gain = (mu * known + cost[0] @ a) / r
+        found = gains.rows[row].reshape(len(known) + 1, LINES)[:, 0]
+        assert found[0] * r == pytest.approx(1.0, abs=5e-7)
+        assert reach @ np.abs(found[1:] - gain) <= 5e-7
+        cost = mu * np.outer(known, known) + a.T @ cost @ a - r * np.outer(gain, gain)
+
+
 def test_gains_solve_the_riccati_equation_far_from_the_end():
     """The stationary gains are those of the control problem over lines without end, by another algorithm."""
     alpha, mu, s, n = 1.6, 5.0, 3.0, 400
     weights = LeftDerivative(alpha, n, 0, np.float32).memory
-    ratios, known = weights.ratios.astype(float), np.r_[weights.taps[1:], weights.factors].astype(float)
-    gains = line_gains(weights, np.array([s]), mu, n)
-    a, b = np.diag(np.r_[0.0, ratios]), np.eye(len(known))[:, :1]
-    a[1:, 0] = 1.0
+    gains, (a, known) = line_gains(weights, np.array([s]), mu, n), control_problem(weights)
+    b = np.eye(len(known))[:, :1]
     cost = scipy.linalg.solve_discrete_are(
         a, b, mu * np.outer(known, known), np.array([[s + mu]]), s=mu * known[:, None]
     )
