@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+import fracbench
 from fracbench.data.names import match_name
 from fracbench.errors import DataError, InputError
 
@@ -160,7 +161,7 @@ def _look_up(explicit: str | Path | None) -> Location | None:
 
 
 def _usual_places() -> Iterator[tuple[str, Path]]:
-    checkout = Path(__file__).resolve().parents[2]
+    checkout = Path(fracbench.__file__).resolve().parents[1]
     for root in (Path(), checkout) if (checkout / "pyproject.toml").is_file() else (Path(),):
         for place in ("data/middlebury", "../shared/middlebury"):
             yield place, root / place

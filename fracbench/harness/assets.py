@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import fracbench
 from fracbench.errors import InputError
 
-_PACKAGE = Path(__file__).resolve().parents[1]
+_PACKAGE = Path(fracbench.__file__).resolve().parent
 
 
 def asset(relative: str) -> Path:

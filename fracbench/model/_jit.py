@@ -9,6 +9,8 @@ from typing import Any, TypeVar
 
 import numba
 
+import fracbench
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 # Sums may be reordered so that loops vectorise, but NaN and infinity keep their meaning: a diverging
@@ -16,7 +18,8 @@ F = TypeVar("F", bound=Callable[..., Any])
 _FASTMATH = {"reassoc", "contract", "arcp", "nsz"}
 
 #: Of all files whose functions a compiled loop may call.
-_SOURCES = hashlib.sha256(b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py"))))
+_MODEL = Path(fracbench.__file__).parent / "model"
+_SOURCES = hashlib.sha256(b"".join(path.read_bytes() for path in sorted(_MODEL.rglob("*.py"))))
 
 
 def jit(function: F) -> F:

@@ -9,13 +9,16 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import fracbench
 from fracbench.report import style
 from fracbench.report.tables import write_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_PACKAGE = Path(__file__).resolve().parents[1]
+_PACKAGE = Path(fracbench.__file__).parent
+#: The rooms whose code decides what a figure shows.
+_ROOMS = ("report", "model")
 
 
 def draw(stem: Path, make: Callable[..., Figure], *shown: Any, **looks: Any) -> list[Path]:
@@ -84,8 +87,8 @@ def _state(wanted: str, files: Sequence[Path]) -> str:
 
 @lru_cache(maxsize=1)
 def _code() -> str:
-    """Return a digest of all that draws: the packages ``report`` and ``model``, and matplotlib's version."""
-    sources = sorted(path for part in ("report", "model") for path in (_PACKAGE / part).glob("*.py"))
+    """Return a digest of all that draws: the code of `_ROOMS`, and matplotlib's version."""
+    sources = sorted(path for room in _ROOMS for path in (_PACKAGE / room).rglob("*.py"))
     content = b"".join(path.read_bytes() for path in sources)
     return f"{hashlib.sha256(content).hexdigest()} {version('matplotlib')} {version('numpy')}"
 

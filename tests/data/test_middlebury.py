@@ -48,10 +48,10 @@ def put(folder: Path, names=SMALL) -> Path:
 def elsewhere(tmp_path, monkeypatch) -> Path:
     """A working folder and a checkout without data, an empty cache, and the small files registered."""
     monkeypatch.setattr(mb, "REGISTRY", {n: hashlib.sha256(data).hexdigest() for n, data in SMALL.items()})
-    package = tmp_path / "checkout" / "fracbench" / "data"
+    package = tmp_path / "checkout" / "fracbench"
     package.mkdir(parents=True)
     (tmp_path / "checkout" / "pyproject.toml").touch()
-    monkeypatch.setattr(mb, "__file__", str(package / "middlebury.py"))
+    monkeypatch.setattr(mb.fracbench, "__file__", str(package / "__init__.py"))
     monkeypatch.setattr(mb, "cache_folder", lambda: tmp_path / "cache" / "middlebury")
     monkeypatch.delenv("FRACBENCH_DATA", raising=False)
     (tmp_path / "somewhere" / "work").mkdir(parents=True)

@@ -86,3 +86,16 @@ def test_what_cannot_be_made_is_tried_again(tmp_path):
     assert list(tmp_path.iterdir()) == []
     keep([tmp_path / "a.csv"], 1, lambda: (tmp_path / "a.csv").write_text("made"))
     assert (tmp_path / "a.csv").read_text() == "made"
+
+
+def test_a_change_in_any_folder_of_a_room_that_draws_counts(tmp_path, monkeypatch):
+    file = tmp_path / drawing._ROOMS[0] / "deeper" / "lines.py"
+    file.parent.mkdir(parents=True)
+    monkeypatch.setattr(drawing, "_PACKAGE", tmp_path)
+    states = set()
+    for text in ("thin", "thick"):
+        file.write_text(text)
+        drawing._code.cache_clear()
+        states.add(drawing._code())
+    drawing._code.cache_clear()
+    assert len(states) == 2
