@@ -39,8 +39,9 @@ test: $(VENV)/.ready ## all tests
 	$(BIN)/python -m pytest --numprocesses 2 --dist loadfile
 
 test-python: $(VENV)/.ready ## the numerics without compilation: the same code as plain Python
-	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q $(addprefix tests/model/test_, $(addsuffix .py, \
-	  transforms proximal linear natural exponentials elimination warping pyramid))
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q $(addprefix tests/model/, $(addsuffix .py, \
+	  kernels/test_cosine kernels/test_pointwise kernels/test_forward_rows kernels/test_exponential_sum \
+	  kernels/test_line_elimination test_sweeps test_warping test_pyramid))
 
 lint: $(VENV)/.ready ## style and types
 	$(BIN)/ruff check .

@@ -9,9 +9,9 @@ from threadpoolctl import threadpool_limits
 
 from fracbench.data.gray import to_gray
 from fracbench.methods.registry import get_method
-from fracbench.model.estimator import FlowResult, check_frames
+from fracbench.model.coarse_to_fine import FlowResult, check_frames
+from fracbench.model.kernels.threads import use_threads
 from fracbench.model.params import FlowParams
-from fracbench.model.threads import use_threads
 
 DEFAULT_METHOD = "tvl1_sb_alpha"
 

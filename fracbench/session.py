@@ -17,7 +17,7 @@ from fracbench.harness.plan import Plan, make_plan, plan_experiment
 from fracbench.harness.store import Store
 
 if TYPE_CHECKING:
-    from fracbench.model.estimator import FlowResult
+    from fracbench.model.coarse_to_fine import FlowResult
     from fracbench.report.base import Artefact
 
 STORE = Path("runs") / "store.sqlite"

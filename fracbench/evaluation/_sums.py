@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fracbench.model._jit import jit
+from fracbench.model.kernels.jit import jit
 
 _NOT_SCORED = -1.0
 

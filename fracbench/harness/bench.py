@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from fracbench.errors import InputError, unknown_name
-from fracbench.evaluation.structure import CLASSES
 from fracbench.harness.memory import peak_mib, reset_peak
 from fracbench.harness.plan import make_plan
 from fracbench.harness.task import point_arrays
 from fracbench.methods.registry import get_method
 from fracbench.model.params import FlowParams
+from fracbench.model.structure import CLASSES
 
 #: What every ratio is relative to.
 YARDSTICK = "opencv_tvl1"
@@ -142,7 +142,7 @@ def run(
 
     from fracbench.evaluation.metrics import flow_errors
     from fracbench.methods import peers
-    from fracbench.model.threads import use_threads
+    from fracbench.model.kernels.threads import use_threads
 
     plans = {
         name: make_plan((*tokens, f"protocol={name or 'recommended'}")) for name in {r.protocol for r in racers}

@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracbench.methods.variational import split_bregman_alpha, v_step
-from fracbench.model.arrays import Array
 from fracbench.model.energy import energy
-from fracbench.model.fractional import gl_weights, make_operator
-from fracbench.model.linear import gauss_seidel_dense, gauss_seidel_literal
+from fracbench.model.kernels.arrays import Array
+from fracbench.model.kernels.pointwise import threshold
+from fracbench.model.operators.zero import gl_weights, make_operator
 from fracbench.model.params import FlowParams
-from fracbench.model.proximal import threshold
-from fracbench.model.solver import Brightness
+from fracbench.model.single_level import Brightness
+from fracbench.model.sweeps import gauss_seidel_dense, gauss_seidel_literal
 from fracbench.model.warping import Linearization
 
 _PAPER = {"inner": "cold", "coupling": "penalty", "tol": 0.01, "max_inner": 30}

@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from fracbench.data.files import atomic_path, read_flow
 from fracbench.errors import FracbenchError
 from fracbench.evaluation.metrics import endpoint_error, flow_errors
-from fracbench.evaluation.structure import CLASSES, structure_classes
 from fracbench.harness.flows import flow_file, keep_flow
 from fracbench.harness.point import Point
 from fracbench.harness.store import canonical_json
 from fracbench.harness.task import point_arrays
 from fracbench.model.params import FlowParams
+from fracbench.model.structure import CLASSES, structure_classes
 
 #: What the truth chooses an order for: all pixels of a class, the neighbourhood of a pixel, the pixel.
 SCOPES = ("class", "window", "pixel")

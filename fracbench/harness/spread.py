@@ -272,8 +272,8 @@ def results_of(plan: Plan, threads: int, dtype: str, nudge: float = 0.0) -> dict
     from fracbench.evaluation.metrics import flow_errors
     from fracbench.harness.task import point_arrays
     from fracbench.methods.registry import get_method
+    from fracbench.model.kernels.threads import use_threads
     from fracbench.model.params import FlowParams
-    from fracbench.model.threads import use_threads
 
     found = {}
     with use_threads(threads), threadpool_limits(1):  # as `estimate_flow` does

@@ -17,7 +17,6 @@ from fracbench.data.regions import Crop, Region, crop
 from fracbench.data.sequence import Sequence, load_sequence
 from fracbench.errors import FracbenchError, InputError
 from fracbench.evaluation.metrics import flow_errors
-from fracbench.evaluation.structure import errors_by_class, structure_classes
 from fracbench.harness import provenance
 from fracbench.harness.job import Outcome
 from fracbench.harness.memory import peak_mib, reset_peak
@@ -25,6 +24,7 @@ from fracbench.harness.point import Point
 from fracbench.methods.registry import get_method
 from fracbench.methods.variational import energy_growth
 from fracbench.model.params import FlowParams
+from fracbench.model.structure import errors_by_class, structure_classes
 
 #: A flow has diverged if its regularity is so many times the energy of no flow at all. For a minimiser the ratio
 #: is below 1; it has been seen near 40 where the data term has next to no weight (lambda = 1e-5).

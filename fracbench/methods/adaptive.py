@@ -7,19 +7,20 @@ from collections.abc import Sequence
 import numpy as np
 
 from fracbench.errors import InputError
-from fracbench.evaluation.structure import CLASSES, structure_classes
 from fracbench.methods.variational import split_bregman, v_step
-from fracbench.model import beyond, pyramid
-from fracbench.model.arrays import Array
-from fracbench.model.estimator import FlowResult, check_frames, coarse_to_fine
-from fracbench.model.mapped import MappedGradient
+from fracbench.model import pyramid
+from fracbench.model.coarse_to_fine import FlowResult, check_frames, coarse_to_fine
+from fracbench.model.data_terms import occlusion as beyond
+from fracbench.model.kernels.arrays import Array
+from fracbench.model.operators.alpha_map import MappedGradient
 from fracbench.model.params import FlowParams
 from fracbench.model.regularizers import Regularizer
-from fracbench.model.solver import VStep
+from fracbench.model.single_level import VStep
+from fracbench.model.structure import CLASSES, structure_classes
 
 
 def tvl1_sb_alpha_map(frame0: Array, frame1: Array, params: FlowParams, *, trace: bool = False) -> FlowResult:
-    """Compute flow with one order for each class of structure, and with what `fracbench.model.beyond` offers.
+    """Compute flow with one order for each class of structure, and with what `data_terms.occlusion` offers.
 
     The classes are `structure_classes` of frame 0 at each scale.
     """

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from fracbench.model.arrays import Array
-from fracbench.model.estimator import FlowResult
+from fracbench.model.coarse_to_fine import FlowResult
+from fracbench.model.kernels.arrays import Array
 from fracbench.model.params import FlowParams
 
 #: lambda = .15 on 0..255, IPOL's default, as scikit-image counts it on 0..1.

@@ -7,15 +7,15 @@ import math
 import numpy as np
 
 from fracbench.model import pyramid
-from fracbench.model.arrays import Array
+from fracbench.model.coarse_to_fine import FlowResult, coarse_to_fine
 from fracbench.model.energy import regularity
-from fracbench.model.estimator import FlowResult, coarse_to_fine
-from fracbench.model.fractional import make_operator
-from fracbench.model.gradient import GradientOperator
+from fracbench.model.kernels.arrays import Array
+from fracbench.model.operators.base import GradientOperator
+from fracbench.model.operators.reflect import NaturalGradient
+from fracbench.model.operators.zero import make_operator
 from fracbench.model.params import FlowParams
-from fracbench.model.reflected import NaturalGradient
 from fracbench.model.regularizers import Regularizer, SplitBregman, TVDual
-from fracbench.model.solver import MultiplierStep, PenaltyStep, VStep
+from fracbench.model.single_level import MultiplierStep, PenaltyStep, VStep
 
 
 def tvl1(frame0: Array, frame1: Array, params: FlowParams, *, trace: bool = False) -> FlowResult:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fracbench.model.arrays import Array
-from fracbench.model.gradient import GradientOperator
+from fracbench.model.kernels.arrays import Array
+from fracbench.model.operators.base import GradientOperator
 from fracbench.model.warping import Linearization
 
 

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from fracbench.model._jit import jit
-from fracbench.model.arrays import Array, aligned
-from fracbench.model.threads import each
+from fracbench.model.kernels.arrays import Array, aligned
+from fracbench.model.kernels.jit import jit
+from fracbench.model.kernels.threads import each
 from fracbench.model.warping import resize
 
 #: sigma_0 of section 3.4: blur of the unit-scale image from which sigma(eta) follows.

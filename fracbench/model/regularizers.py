@@ -10,17 +10,17 @@ from typing import Protocol
 
 import numpy as np
 
-from fracbench.model._jit import jit
-from fracbench.model.arrays import Array, aligned
-from fracbench.model.gradient import GradientOperator
-from fracbench.model.linear import (
+from fracbench.model.kernels.arrays import Array, aligned
+from fracbench.model.kernels.jit import jit
+from fracbench.model.kernels.pointwise import bregman_update, mean_squared_change, shrink_difference
+from fracbench.model.kernels.threads import count, each, share
+from fracbench.model.operators.base import GradientOperator
+from fracbench.model.operators.reflect import NaturalGradient
+from fracbench.model.sweeps import (
     gauss_seidel_dense,
     gauss_seidel_natural,
     jacobi_sweep,
 )
-from fracbench.model.proximal import bregman_update, mean_squared_change, shrink_difference
-from fracbench.model.reflected import NaturalGradient
-from fracbench.model.threads import count, each, share
 
 
 class Regularizer(Protocol):

@@ -1,6 +1,6 @@
 """How fast the solvers of the u-step converge: spectral radii, sweeps to a tolerance, and a closed-form limit.
 
-The system is that of `fracbench.model.linear`, ``A = 1/theta + mu (Ny (x) I + I (x) Nx)``, with d and b held.
+The system is that of `fracbench.model.sweeps`, ``A = 1/theta + mu (Ny (x) I + I (x) Nx)``, with d and b held.
 Radii are found without forming A, by Krylov iterations on the sweep itself.
 """
 
@@ -14,8 +14,8 @@ import scipy.optimize
 import scipy.sparse.linalg
 
 from fracbench.errors import unknown_name
-from fracbench.model.arrays import Array, Float64Array
-from fracbench.model.linear import gauss_seidel_dense, jacobi_sweep
+from fracbench.model.kernels.arrays import Array, Float64Array
+from fracbench.model.sweeps import gauss_seidel_dense, jacobi_sweep
 
 SWEEPS = ("jacobi", "gauss_seidel")
 #: A relative residual this large counts as divergence.

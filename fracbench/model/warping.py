@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fracbench.model._jit import jit
-from fracbench.model._lanes import LANES, load, store
-from fracbench.model.arrays import Array
+from fracbench.model.kernels.arrays import Array
+from fracbench.model.kernels.jit import jit
+from fracbench.model.kernels.simd import LANES, load, store
 
 
 class Linearization(NamedTuple):

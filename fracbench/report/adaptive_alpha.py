@@ -79,7 +79,7 @@ def adaptive_alpha(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], 
 
 def legend(experiment: Experiment, oracles: Oracles) -> str:
     """Say what the names of the estimates mean."""
-    from fracbench.evaluation.structure import CLASSES
+    from fracbench.model.structure import CLASSES
 
     found = next((found for found in oracles.values() if found is not None), None)
     orders = ", ".join(f"{alpha:g}" for alpha in found["alphas"]) if found else "single orders"

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracbench.evaluation.selection import leave_one_out
-from fracbench.evaluation.structure import CLASSES
 from fracbench.harness.oracle import SCOPES
+from fracbench.model.structure import CLASSES
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -110,7 +110,7 @@ def spectra_table(pairs: pd.DataFrame, *, size: int, alpha_step: float, tol: flo
     """
     import pandas as pd
 
-    from fracbench.model.fractional import left_derivative_matrix
+    from fracbench.model.operators.zero import left_derivative_matrix
     from fracbench.model.spectra import SWEEPS, spectral_radius, sweeps_needed
 
     v = np.random.default_rng(0).normal(size=(size, size))

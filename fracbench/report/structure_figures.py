@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracbench.data.lone import LONE
-from fracbench.evaluation.structure import CLASSES, structure_classes
+from fracbench.model.structure import CLASSES, structure_classes
 from fracbench.report.style import PALETTE, SHADE, STAR, axis_label, house_style, new_figure
 
 if TYPE_CHECKING:

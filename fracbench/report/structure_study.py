@@ -10,7 +10,7 @@ import numpy as np
 
 from fracbench.errors import InputError
 from fracbench.evaluation.intervals import held_out, mean_interval, minimum_interval
-from fracbench.evaluation.structure import CLASSES
+from fracbench.model.structure import CLASSES
 from fracbench.report.base import FLAT
 
 if TYPE_CHECKING:

@@ -21,7 +21,8 @@ from fracbench.harness.plan import Plan, PlannedPoint
 from fracbench.harness.point import Point
 from fracbench.harness.regression import Verdict, check
 from fracbench.harness.store import Row
-from fracbench.model import SOLVER_VERSION, fractional
+from fracbench.model import SOLVER_VERSION
+from fracbench.model.operators import zero as fractional
 from fracbench.report.tables import tidy
 
 Part = tuple[str, dict[str, set[str]]]  # a stored table, and which of its rows

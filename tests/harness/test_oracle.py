@@ -10,7 +10,6 @@ import pytest
 from fracbench.data.files import write_flow
 from fracbench.errors import FracbenchError
 from fracbench.evaluation.metrics import endpoint_error, flow_errors
-from fracbench.evaluation.structure import CLASSES, structure_classes
 from fracbench.harness import flows, oracle
 from fracbench.harness.oracle import (
     SCOPES,
@@ -23,6 +22,7 @@ from fracbench.harness.oracle import (
 )
 from fracbench.harness.plan import make_plan
 from fracbench.harness.task import point_arrays
+from fracbench.model.structure import CLASSES, structure_classes
 
 CHEAP = ["n_scales=1", "n_warps=1", "max_iter=2", "method=tvl1_sb_alpha"]
 

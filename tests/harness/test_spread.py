@@ -132,8 +132,9 @@ def test_the_usual_circumstances_are_those_of_the_check():
 
 
 def test_threads_reach_the_solver(monkeypatch):
-    from fracbench.model import regularizers, threads
-    from fracbench.model.threads import count, each
+    from fracbench.model import regularizers
+    from fracbench.model.kernels import threads
+    from fracbench.model.kernels.threads import count, each
 
     seen = []
     monkeypatch.setattr(threads, "LEAST_PIXELS", 0)

@@ -14,14 +14,14 @@ from fracbench.data import synthetic
 from fracbench.data.sequence import Sequence
 from fracbench.errors import InputError
 from fracbench.evaluation.metrics import flow_errors
-from fracbench.evaluation.structure import CLASSES, structure_classes
 from fracbench.harness import task
 from fracbench.harness.point import Point, canonical_value
 from fracbench.harness.task import point_arrays, run_point
 from fracbench.methods.registry import get_method
 from fracbench.methods.variational import energy_growth
-from fracbench.model.estimator import FlowResult
+from fracbench.model.coarse_to_fine import FlowResult
 from fracbench.model.params import FlowParams
+from fracbench.model.structure import CLASSES, structure_classes
 
 QUICK = {"n_scales": 1, "n_warps": 2, "max_iter": 3}
 

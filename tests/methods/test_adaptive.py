@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from fracbench.evaluation.structure import CLASSES
 from fracbench.methods import adaptive
 from fracbench.methods.adaptive import flow_with_orders, tvl1_sb_alpha_map
 from fracbench.methods.variational import tvl1_sb_alpha
-from fracbench.model.mapped import MappedGradient
+from fracbench.model.operators.alpha_map import MappedGradient
 from fracbench.model.params import FlowParams
+from fracbench.model.structure import CLASSES
 
 SETTINGS = {"dtype": "float64", "n_warps": 2, "epsilon": 0.0, "max_iter": 5}
 BY_CLASS = {"alpha_flat": 0.8, "alpha_edge": 1.4, "alpha_corner": 1.6, "alpha_texture": 1.2}

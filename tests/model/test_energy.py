@@ -7,7 +7,7 @@ import pytest
 import reference_impl as ref
 
 from fracbench.model.energy import attachment, coupling, energy, regularity
-from fracbench.model.fractional import NaturalGradient, ReflectGradient, ZeroGradient, make_operator
+from fracbench.model.operators.zero import NaturalGradient, ReflectGradient, ZeroGradient, make_operator
 from fracbench.model.warping import Linearization
 
 CASES = [

@@ -10,8 +10,8 @@ import pytest
 import reference_impl as ref
 
 from fracbench.model.energy import coupling, energy, regularity
-from fracbench.model.fractional import NaturalGradient, ZeroGradient, make_operator
-from fracbench.model.proximal import threshold
+from fracbench.model.kernels.pointwise import threshold
+from fracbench.model.operators.zero import NaturalGradient, ZeroGradient, make_operator
 from fracbench.model.regularizers import SplitBregman, TVDual, dual_ascent, dual_primal
 from fracbench.model.warping import Linearization
 

@@ -9,7 +9,7 @@ import pytest
 import reference_impl as ref
 
 from fracbench.errors import InputError
-from fracbench.model.fractional import ZeroGradient
+from fracbench.model.operators.zero import ZeroGradient
 from fracbench.model.spectra import SWEEPS, jacobi_limit, spectral_radius, sweeps_needed
 
 PAIRS = [(0.3, 5.0), (0.7, 1.0), (0.8, 10.0)]

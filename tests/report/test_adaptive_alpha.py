@@ -9,10 +9,10 @@ import pandas as pd
 import pytest
 
 from fracbench.errors import FracbenchError, InputError
-from fracbench.evaluation.structure import CLASSES
 from fracbench.harness.experiment import load_experiment
 from fracbench.harness.oracle import SCOPES
 from fracbench.harness.plan import plan_experiment
+from fracbench.model.structure import CLASSES
 from fracbench.report import adaptive_alpha as artefact
 from fracbench.report.adaptive_figures import gain_panels, order_pictures, order_title
 from fracbench.report.adaptive_study import (

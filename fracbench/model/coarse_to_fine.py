@@ -1,0 +1,188 @@
+"""The coarse-to-fine driver (Algorithm 1), which all methods share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fracbench.errors import InputError
+from fracbench.model import pyramid
+from fracbench.model.kernels.arrays import Array, aligned
+from fracbench.model.kernels.threads import each, worth_threads
+from fracbench.model.params import FlowParams
+from fracbench.model.regularizers import Regularizer
+from fracbench.model.single_level import (
+    Brightness,
+    LevelReport,
+    PenaltyStep,
+    Residual,
+    Stopwatch,
+    VStep,
+    solve_level,
+)
+
+RegularizerFactory = Callable[[FlowParams, Array], Regularizer]
+VStepFactory = Callable[[Array, FlowParams], VStep]
+ResidualFactory = Callable[[Array, Array, FlowParams], Residual]
+RefinerFactory = Callable[[Array, Array, FlowParams], Callable[[Array], Array] | None]
+
+
+@dataclass
+class FlowResult:
+    """A computed flow and how it came about.
+
+    Attributes
+    ----------
+    flow : ndarray, shape (2, H, W), float32
+        ``flow[0]`` = u1, to the right, ``flow[1]`` = u2, down, pixels: frame0(x, y) matches
+        frame1(x + u1, y + u2).
+    method : str
+        Name of the method.
+    params : FlowParams
+        Parameters used.
+    levels : list of LevelReport
+        One a scale, from coarsest to finest; empty for peers that do not tell.
+    seconds : dict
+        Wall-clock seconds by phase.
+    notices : list of str
+        What the user should know, e.g. fewer scales than asked for.
+    """
+
+    flow: Array
+    method: str
+    params: FlowParams
+    levels: list[LevelReport] = field(default_factory=list)
+    seconds: dict[str, float] = field(default_factory=dict)
+    notices: list[str] = field(default_factory=list)
+
+    @property
+    def iterations(self) -> list[list[int]]:
+        """Iterations by scale (coarsest first) and warp."""
+        return [level.iterations for level in self.levels]
+
+    @property
+    def stop_reason(self) -> str:
+        """``"diverged"`` if any warp did, else ``"max_iter"`` if any hit it, else ``"converged"``.
+
+        ``"not told"`` for peers, which say nothing of their iterations.
+        """
+        if not self.levels and np.isfinite(self.flow).all():
+            return "not told"
+        reasons = {reason for level in self.levels for reason in level.stop}
+        if not np.isfinite(self.flow).all() or "diverged" in reasons:
+            return "diverged"
+        return "max_iter" if "max_iter" in reasons else "converged"
+
+
+def coarse_to_fine(
+    frame0: Array,
+    frame1: Array,
+    params: FlowParams,
+    make_regularizer: RegularizerFactory,
+    make_v_step: VStepFactory = PenaltyStep,
+    *,
+    make_residual: ResidualFactory = Brightness,
+    make_refiner: RefinerFactory | None = None,
+    method: str = "",
+    trace: bool = False,
+) -> FlowResult:
+    """Run Algorithm 1: stretch, smooth, build the pyramids, solve from the coarsest scale to the finest.
+
+    Parameters
+    ----------
+    frame0, frame1 : ndarray, shape (H, W)
+        Gray frames of any scale of intensity; never changed.
+    params : FlowParams
+        Parameters.
+    make_regularizer : callable
+        Gives the u-step for a scale, from frame 0 at that scale: of its shape, in its precision.
+    make_v_step : callable, optional
+        Gives the v-step for a scale: the paper's by default.
+    make_residual : callable, optional
+        Gives the data of a scale, from both frames there: the paper's by default.
+    make_refiner : callable, optional
+        Gives what becomes of the flow after each warp, from both frames at a scale: nothing by default.
+    method : str, optional
+        Name for the result.
+    trace : bool, optional
+        Record the energy after each iteration (slow).
+
+    Returns
+    -------
+    FlowResult
+        The flow.
+
+    Raises
+    ------
+    InputError
+        Frames of different or too small size.
+    """
+    check_frames(frame0, frame1)
+    watch = Stopwatch()
+    dtype = np.dtype(params.dtype)
+    shapes = pyramid.scale_shapes(frame0.shape, params.eta, params.n_scales)
+    pyramids = each(
+        lambda frame: pyramid.build(pyramid.smooth(frame, params.presmoothing), shapes, params.eta),
+        pyramid.stretch(frame0, frame1, dtype),
+    )
+    watch.lap("pyramid")
+    flow = aligned((2, *shapes[-1]), dtype)
+    levels: list[LevelReport] = []
+    for s in reversed(range(len(shapes))):
+        with worth_threads(math.prod(shapes[s])):
+            if s < len(shapes) - 1:
+                flow = pyramid.upsample_flow(flow, shapes[s], params.upsample_gain)
+            frames = pyramids[0].pop(), pyramids[1].pop()
+            residual, v_step = make_residual(*frames, params), make_v_step(flow, params)
+            regularizer = make_regularizer(params, frames[0])
+            refine = make_refiner(*frames, params) if make_refiner else None
+            del frames  # whoever needs one has it
+            watch.lap("setup")
+            flow, report = solve_level(
+                residual, flow, params, regularizer, v_step, watch, refine=refine, trace=trace
+            )
+            levels.append(report)
+            del residual, v_step, regularizer, refine  # before those of the next scale are made
+    return FlowResult(
+        np.asarray(flow, np.float32), method, params, levels, dict(watch.seconds), _notices(params, shapes)
+    )
+
+
+def check_frames(frame0: Array, frame1: Array) -> None:
+    """Check that two gray frames can be compared.
+
+    Parameters
+    ----------
+    frame0, frame1 : ndarray
+        Frames.
+
+    Raises
+    ------
+    InputError
+        Not two-dimensional, of different size, or a side shorter than the bicubic stencil.
+    """
+    if frame0.shape != frame1.shape:
+        raise InputError(
+            f"frames differ in size: {_size(frame0.shape)} and {_size(frame1.shape)} (width x height)"
+        )
+    if frame0.ndim != 2 or min(frame0.shape) < pyramid.MIN_SIDE:
+        least = pyramid.MIN_SIDE
+        raise InputError(
+            f"frames of {_size(frame0.shape)} pixels are too small: at least {least} x {least} are needed"
+        )
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    return " x ".join(str(n) for n in reversed(shape))
+
+
+def _notices(params: FlowParams, shapes: list[tuple[int, int]]) -> list[str]:
+    if params.n_scales is None or len(shapes) == params.n_scales:
+        return []
+    return [
+        f"n_scales reduced from {params.n_scales} to {len(shapes)}: "
+        f"the coarsest image would be smaller than the smallest useful one ({_size(shapes[0])} pixels given)"
+    ]

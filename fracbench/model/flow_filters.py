@@ -1,0 +1,167 @@
+"""Median filters of a flow between warps: plain, and weighted by what is seen near motion edges."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import scipy.ndimage
+
+from fracbench.model.kernels.arrays import Array
+from fracbench.model.kernels.jit import jit
+
+#: Standard deviations of a neighbour's weight: distance in pixels, difference in gray levels (Sun et al. 2014).
+DISTANCE, LIKENESS = 7.0, 7.0
+#: A neighbour that differs by more gray levels than this has no weight.
+FAR = 3.0 * LIKENESS
+#: Standard deviations of visibility: divergence of the flow, and residual in gray levels (Sand and Teller 2008).
+DIVERGENCE, RESIDUAL = 0.3, 20.0
+#: A pixel is near a motion edge if the flow changes by more than this, pixels a pixel, within `REACH` pixels.
+MOTION_EDGE, REACH = 0.1, 4
+
+
+def median(flow: Array, size: int) -> Array:
+    """Return the median over windows of ``size x size`` pixels, borders repeated, of each component.
+
+    Parameters
+    ----------
+    flow : ndarray, shape (2, H, W)
+        Flow.
+    size : int
+        Side of the window, odd.
+
+    Returns
+    -------
+    ndarray, shape (2, H, W)
+        A new array, in the precision of `flow`.
+    """
+    return np.stack([scipy.ndimage.median_filter(component, size, mode="nearest") for component in flow])
+
+
+def visibility(flow: Array, residual: Array) -> Array:
+    """Return how likely each pixel is seen in frame 1 as well: 1 where flow and frames agree.
+
+    ``exp(-min(0, div u)^2 / (2 s_d^2) - residual^2 / (2 s_r^2))``: flow converges where one surface covers
+    another.
+
+    Parameters
+    ----------
+    flow : ndarray, shape (2, H, W)
+        Flow.
+    residual : ndarray, shape (H, W)
+        ``I1(x + u) - I0(x)``, gray levels.
+
+    Returns
+    -------
+    ndarray, shape (H, W)
+        In (0, 1].
+    """
+    converging = np.minimum(slope(flow[0], 1) + slope(flow[1], 0), 0.0)
+    exponent = converging**2 / (2.0 * DIVERGENCE**2) + residual**2 / (2.0 * RESIDUAL**2)
+    return np.exp(-exponent).astype(flow.dtype)
+
+
+def slope(image: Array, axis: int) -> Array:
+    """Return central differences along an axis, borders repeated."""
+    return scipy.ndimage.correlate1d(image, [-0.5, 0.0, 0.5], axis, mode="nearest")
+
+
+def motion_edges(flow: Array) -> Array:
+    """Mark the pixels near a motion edge; see `MOTION_EDGE`.
+
+    Parameters
+    ----------
+    flow : ndarray, shape (2, H, W)
+        Flow.
+
+    Returns
+    -------
+    ndarray of bool, shape (H, W)
+        True near one.
+    """
+    steep = np.max([np.hypot(slope(u, 0), slope(u, 1)) for u in flow], axis=0) > MOTION_EDGE
+    return scipy.ndimage.maximum_filter(steep, 2 * REACH + 1, mode="nearest")
+
+
+@jit
+def weighted_median(
+    flow: Array, guide: Array, trust: Array, mask: Array, radius: int, out: Array, start: int, stop: int
+) -> None:
+    """Replace the flow near motion edges by the weighted median of its neighbours.
+
+    The weight of a neighbour falls with its distance and its difference in gray level, as Gaussians, and is
+    proportional to its `trust`. The median is the lower one, the smallest value that half of the weight does not
+    exceed. Neighbours outside the image do not count.
+
+    Parameters
+    ----------
+    flow : ndarray, shape (2, H, W)
+        Flow.
+    guide : ndarray, shape (H, W)
+        Frame 0, gray levels.
+    trust : ndarray, shape (H, W)
+        Weight of each pixel as a neighbour, at least 0; see `visibility`.
+    mask : ndarray of bool, shape (H, W)
+        The pixels to replace.
+    radius : int
+        Half the side of the window, pixels.
+    out : ndarray, shape (2, H, W)
+        Overwritten where `mask` is true and a neighbour has weight.
+    start, stop : int
+        The rows of the image to take.
+    """
+    _, height, width = flow.shape
+    space = (2 * radius + 1) ** 2
+    values, weights = np.empty((2, space), flow.dtype), np.empty((2, space), flow.dtype)
+    for i in range(start, stop):
+        for j in range(width):
+            if not mask[i, j]:
+                continue
+            count, total = 0, 0.0
+            for p in range(max(0, i - radius), min(height, i + radius + 1)):
+                for q in range(max(0, j - radius), min(width, j + radius + 1)):
+                    gray = guide[p, q] - guide[i, j]
+                    if abs(gray) > FAR or trust[p, q] <= 0.0:
+                        continue
+                    away = ((p - i) ** 2 + (q - j) ** 2) / (2.0 * DISTANCE**2)
+                    weight = trust[p, q] * math.exp(-away - gray * gray / (2.0 * LIKENESS**2))
+                    for c in range(2):
+                        values[c, count], weights[c, count] = flow[c, p, q], weight
+                    total += weight
+                    count += 1
+            if total > 0.0:
+                for c in range(2):
+                    out[c, i, j] = _select(values[c], weights[c], count, 0.5 * total)
+
+
+@jit
+def _select(values: Array, weights: Array, count: int, wanted: float) -> float:
+    """Return the smallest of the first `count` values below or at which there is the weight `wanted`.
+
+    Hoare's selection; both arrays are reordered.
+    """
+    low, high = 0, count - 1
+    while low < high:
+        pivot = values[(low + high) // 2]
+        a, b, passed = low, high, 0.0
+        while a <= b:
+            while values[a] < pivot:
+                passed += weights[a]
+                a += 1
+            while values[b] > pivot:
+                b -= 1
+            if a <= b:
+                values[a], values[b] = values[b], values[a]
+                weights[a], weights[b] = weights[b], weights[a]
+                passed += weights[a]
+                a += 1
+                b -= 1
+        smaller = passed - weights[b + 1] if a - b == 2 else passed  # at a - 1, between the parts, is a pivot
+        if smaller >= wanted:
+            high = b
+        elif passed >= wanted:
+            return pivot
+        else:
+            wanted -= passed
+            low = a
+    return values[min(low, count - 1)]

@@ -1,0 +1,314 @@
+r"""Fast cosine and sine transforms of the lines of an image, along either axis.
+
+Lines are real and so are their transforms, so two lines travel as the real and the imaginary part of one
+complex Fourier transform of length n (Makhoul 1980), two times eight lines at a time. Samples
+``x(j)`` have the orthonormal coefficients ``C(k) = beta(k) sum_j x(j) cos(pi k (2 j + 1) / (2 n))`` and
+``S(k)``, the same with the sine, for ``j, k = 0..n-1``, ``beta(0) = sqrt(1/n)``, else ``sqrt(2/n)``: the DCT-II,
+and the DST-II numbered by frequency (``S(0) = 0``; frequency n, which a cosine series lacks, is left out).
+
+Each transform takes the lines from a start to a stop, so that threads can share an image.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fracbench.model.kernels.arrays import Array
+from fracbench.model.kernels.fft import LinePlan, fourier, get, put
+from fracbench.model.kernels.jit import jit
+from fracbench.model.kernels.simd import LANES, load, load_row, store, store_row, transpose
+
+#: Lines that are transformed together.
+LINES = 2 * LANES
+
+# --- eight lines out of an image and back ------------------------------------------------------------------
+
+
+@jit
+def gather(image: Array, axis: int, first: int, rows: NDArray[np.intp], work: Array, base: int) -> None:
+    """Put element j of the lines `first`, `first` + 1, ... into row ``base + rows[j]``: eight, and eight more.
+
+    Where fewer are left, the last one is repeated.
+    """
+    if axis == 0 and first + LINES <= image.shape[1]:
+        for j in range(len(image)):  # both at once: they share a line of the cache
+            put(work, base + rows[j], load(image, j, first), load(image, j, first + LANES))
+        return
+    for part in range(2):
+        _gather_eight(image, axis, first + part * LANES, rows, work, 2 * base + part)
+
+
+@jit
+def _gather_eight(image: Array, axis: int, first: int, rows: NDArray[np.intp], work: Array, part: int) -> None:
+    n, count = image.shape[axis], image.shape[1 - axis]
+    done = 0
+    if first + LANES <= count:
+        done = n - n % LANES if axis == 1 else n
+        for j in range(n if axis == 0 else 0):
+            store_row(work, 2 * rows[j] + part, load(image, j, first))
+        for j in range(0, done if axis == 1 else 0, LANES):
+            r = first
+            turned = transpose(
+                (
+                    load(image, r, j), load(image, r + 1, j), load(image, r + 2, j), load(image, r + 3, j),
+                    load(image, r + 4, j), load(image, r + 5, j), load(image, r + 6, j), load(image, r + 7, j),
+                )
+            )  # fmt: skip
+            store_row(work, 2 * rows[j] + part, turned[0])
+            store_row(work, 2 * rows[j + 1] + part, turned[1])
+            store_row(work, 2 * rows[j + 2] + part, turned[2])
+            store_row(work, 2 * rows[j + 3] + part, turned[3])
+            store_row(work, 2 * rows[j + 4] + part, turned[4])
+            store_row(work, 2 * rows[j + 5] + part, turned[5])
+            store_row(work, 2 * rows[j + 6] + part, turned[6])
+            store_row(work, 2 * rows[j + 7] + part, turned[7])
+    for i in range(LANES):
+        line = min(first + i, count - 1)
+        for j in range(done, n):
+            work[2 * rows[j] + part, i] = image[line, j] if axis == 1 else image[j, line]
+
+
+@jit
+def scatter(
+    work: Array, base: int, rows: NDArray[np.intp], image: Array, axis: int, first: int, turned: bool
+) -> None:
+    """Undo `gather`; where the real and the imaginary parts are `turned`, these are the first eight lines."""
+    if axis == 0 and first + LINES <= image.shape[1]:
+        one, other = (first + LANES, first) if turned else (first, first + LANES)
+        for j in range(len(image)):
+            x, y = get(work, base + rows[j])
+            store(image, j, one, x)
+            store(image, j, other, y)
+        return
+    for part in range(2):
+        _scatter_eight(work, 2 * base + (1 - part if turned else part), rows, image, axis, first + part * LANES)
+
+
+@jit
+def _scatter_eight(work: Array, part: int, rows: NDArray[np.intp], image: Array, axis: int, first: int) -> None:
+    n, count = image.shape[axis], image.shape[1 - axis]
+    done = 0
+    if first + LANES <= count:
+        done = n - n % LANES if axis == 1 else n
+        for j in range(n if axis == 0 else 0):
+            store(image, j, first, load_row(work, 2 * rows[j] + part))
+        for j in range(0, done if axis == 1 else 0, LANES):
+            turned = transpose(
+                (
+                    load_row(work, 2 * rows[j] + part), load_row(work, 2 * rows[j + 1] + part),
+                    load_row(work, 2 * rows[j + 2] + part), load_row(work, 2 * rows[j + 3] + part),
+                    load_row(work, 2 * rows[j + 4] + part), load_row(work, 2 * rows[j + 5] + part),
+                    load_row(work, 2 * rows[j + 6] + part), load_row(work, 2 * rows[j + 7] + part),
+                )
+            )  # fmt: skip
+            store(image, first, j, turned[0])
+            store(image, first + 1, j, turned[1])
+            store(image, first + 2, j, turned[2])
+            store(image, first + 3, j, turned[3])
+            store(image, first + 4, j, turned[4])
+            store(image, first + 5, j, turned[5])
+            store(image, first + 6, j, turned[6])
+            store(image, first + 7, j, turned[7])
+    for i in range(min(LANES, count - first)):
+        for j in range(done, n):
+            if axis == 1:
+                image[first + i, j] = work[2 * rows[j] + part, i]
+            else:
+                image[j, first + i] = work[2 * rows[j] + part, i]
+
+
+# --- between Fourier and cosine or sine coefficients, in place ---------------------------------------------
+
+
+@jit
+def _from_fourier(work: Array, base: int, plan: LinePlan, factor: Array, sine: bool) -> None:
+    """Turn Fourier coefficients of a + i b into ``factor`` times the coefficients of a and b.
+
+    A sine series is a cosine series turned round, of samples of which every other one is negative: that of
+    frequency k then stands in the row of frequency n - k, and 0 in the row of frequency 0.
+    """
+    n = plan.results.size
+    real = factor.dtype.type
+    row = base + plan.results[0]
+    x, y = get(work, row)
+    scale = real(0.0) if sine else factor[0] / np.sqrt(real(n))
+    put(work, row, scale * x, scale * y)
+    scale = real(1.0) / np.sqrt(real(2 * n))
+    for k in range(1, n // 2 + 1):
+        low, high = base + plan.results[k], base + plan.results[n - k]
+        c, s = scale * plan.quarter[0, k], scale * plan.quarter[1, k]
+        p, q = get(work, low)
+        r, t = get(work, high)
+        ar, ai, br, bi = p + r, q - t, q + t, r - p
+        f, g = (factor[n - k], factor[k]) if sine else (factor[k], factor[n - k])
+        put(work, high, g * (s * ar - c * ai), g * (s * br - c * bi))
+        put(work, low, f * (c * ar + s * ai), f * (c * br + s * bi))
+
+
+@jit
+def _to_fourier(work: Array, base: int, plan: LinePlan, factor: Array, sine: bool) -> None:
+    """Turn coefficients of a and b, in natural order, into what `fourier` makes b + i a of, times ``factor``."""
+    n = plan.results.size
+    real = factor.dtype.type
+    a, b = get(work, base)
+    scale = real(0.0) if sine else factor[0] / np.sqrt(real(n))
+    put(work, base, scale * b, scale * a)
+    scale = real(1.0) / np.sqrt(real(2 * n))
+    for k in range(1, n // 2 + 1):
+        c, s = scale * plan.quarter[0, k], scale * plan.quarter[1, k]
+        a_low, b_low = get(work, base + k)
+        a_high, b_high = get(work, base + n - k)
+        f, g = factor[k], factor[n - k]
+        a_low, b_low, a_high, b_high = f * a_low, f * b_low, g * a_high, g * b_high
+        if sine:
+            a_low, b_low, a_high, b_high = a_high, b_high, a_low, b_low
+        ar, ai = c * a_low + s * a_high, s * a_low - c * a_high
+        br, bi = c * b_low + s * b_high, s * b_low - c * b_high
+        put(work, base + n - k, br - ai, ar + bi)
+        put(work, base + k, ai + br, ar - bi)
+
+
+# --- the transforms ----------------------------------------------------------------------------------------
+
+
+@jit
+def cosine(x: Array, axis: int, start: int, stop: int, factor: Array, plan: LinePlan, out: Array) -> None:
+    """Write ``factor(k) C(k)`` of the lines ``start..stop-1``.
+
+    Parameters
+    ----------
+    x : ndarray, shape (H, W), C-contiguous
+        Image.
+    axis : {0, 1}
+        Axis along which the lines run.
+    start, stop : int
+        Lines; `start` is a multiple of LINES, and `stop` is one or the number of lines.
+    factor : ndarray, shape (n,)
+        What the coefficients are multiplied by.
+    plan : LinePlan
+        Plan for n in x's precision.
+    out : ndarray, shape (H, W), C-contiguous
+        Coefficients; may be `x`.
+    """
+    work, base = np.empty((2 * plan.results.size, LANES), x.dtype), int(np.intp(0))  # as in `fourier`
+    for first in range(start, stop, LINES):
+        gather(x, axis, first, plan.forth, work, base)
+        fourier(work, base, plan)
+        _from_fourier(work, base, plan, factor, False)
+        scatter(work, base, plan.results, out, axis, first, False)
+
+
+@jit
+def cosine_back(x: Array, axis: int, start: int, stop: int, factor: Array, plan: LinePlan, out: Array) -> None:
+    """Write the lines whose cosine coefficients are ``factor(k) x(k)``; parameters as for `cosine`."""
+    work, base = np.empty((2 * plan.results.size, LANES), x.dtype), int(np.intp(0))  # as in `fourier`
+    for first in range(start, stop, LINES):
+        gather(x, axis, first, plan.natural, work, base)
+        _to_fourier(work, base, plan, factor, False)
+        fourier(work, base, plan)
+        scatter(work, base, plan.back, out, axis, first, True)
+
+
+@jit
+def derivatives(
+    x: Array, axis: int, start: int, stop: int, even: Array, odd: Array, plan: LinePlan, out: Array
+) -> None:
+    """Write left and right derivatives, ``A - B`` and ``A + B``, of lines given by their cosine coefficients.
+
+    Parameters
+    ----------
+    x : ndarray, shape (H, W), C-contiguous
+        Cosine coefficients along `axis`.
+    axis, start, stop, plan
+        See `cosine`.
+    even, odd : ndarray, shape (n,)
+        A is the cosine series of ``even(k) x(k)``, B the sine series of ``odd(k) x(k)``.
+    out : ndarray, shape (2, 2, H, W), C-contiguous
+        By side (left, right) and direction (x, y); the direction of `axis` is written.
+    """
+    n = plan.results.size
+    work = np.empty((4 * n, LANES), x.dtype)
+    for first in range(start, stop, LINES):
+        gather(x, axis, first, plan.natural, work, 0)
+        for row in range(n):
+            ar, ai = get(work, row)
+            put(work, n + row, ar, ai)
+        for base in (0, n):
+            _to_fourier(work, base, plan, even if base == 0 else odd, base > 0)
+            fourier(work, base, plan)
+        for sample in range(n):
+            row = plan.back[sample]
+            ar, ai = get(work, row)
+            br, bi = get(work, n + row)
+            if sample % 2 == 1:  # of B's samples every other one is negative
+                put(work, row, ar + br, ai + bi)
+                put(work, n + row, ar - br, ai - bi)
+            else:
+                put(work, row, ar - br, ai - bi)
+                put(work, n + row, ar + br, ai + bi)
+        for side in range(2):
+            scatter(work, side * n, plan.back, out[side, 1 - axis], axis, first, True)
+
+
+@jit
+def derivatives_adjoint(
+    d: Array,
+    v: Array,
+    axis: int,
+    start: int,
+    stop: int,
+    even: Array,
+    odd: Array,
+    direct: Array,
+    plan: LinePlan,
+    out: Array,
+) -> None:
+    """Write the cosine coefficients of the adjoint of `derivatives`, applied to the lines of `d`.
+
+    Parameters
+    ----------
+    d : ndarray, shape (2, 2, H, W), C-contiguous
+        By side and direction; the direction of `axis` is read.
+    v : ndarray, shape (H, W), C-contiguous
+        ``direct(k)`` times its cosine coefficients are added.
+    axis, start, stop, even, odd, plan
+        See `derivatives`.
+    direct : ndarray, shape (n,) or (0,)
+        See `v`; (0,) for nothing to add.
+    out : ndarray, shape (H, W), C-contiguous
+        Cosine coefficients along `axis`.
+    """
+    n = plan.results.size
+    work = np.empty((4 * n, LANES), d.dtype)
+    for first in range(start, stop, LINES):
+        for side in range(2):
+            gather(d[side, 1 - axis], axis, first, plan.forth, work, side * n)
+        for row in range(n):
+            lr, li = get(work, row)
+            rr, ri = get(work, n + row)
+            put(work, row, lr + rr, li + ri)
+            if row >= n - n // 2:  # the odd samples
+                put(work, n + row, lr - rr, li - ri)
+            else:
+                put(work, n + row, rr - lr, ri - li)
+        for base in (0, n):
+            fourier(work, base, plan)
+            _from_fourier(work, base, plan, even if base == 0 else odd, base > 0)
+        for k in range(n):
+            # a sine coefficient stands in its mirror's row, that of frequency 0 (nothing) in its own
+            _add_row(work, plan.results[k], n + plan.results[(n - k) % n])
+        if direct.size:
+            gather(v, axis, first, plan.forth, work, n)
+            fourier(work, n, plan)
+            _from_fourier(work, n, plan, direct, False)
+            for row in range(n):
+                _add_row(work, row, n + row)
+        scatter(work, 0, plan.results, out, axis, first, False)
+
+
+@jit
+def _add_row(work: Array, row: int, other: int) -> None:
+    ar, ai = get(work, row)
+    br, bi = get(work, other)
+    put(work, row, ar + br, ai + bi)

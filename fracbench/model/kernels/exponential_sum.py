@@ -1,0 +1,122 @@
+r"""Long convolutions by a short memory: weights that are a sum of a few exponentials.
+
+From the third on, Gruenwald-Letnikov weights are moments of a density of one sign on (0, 1),
+``w_k = const int_0^1 t^(k - alpha - 1) (1 - t)^alpha dt`` (Euler's integral of the binomial's gamma functions), so
+that ten or twelve exponentials, ``w_k = sum_m c_m rho_m^(k - 2)`` with ``rho_m`` in (0, 1), give hundreds of them
+to single precision. A left derivative then carries one number an exponential along a line, in place of all samples
+before: ``h_m(i) = rho_m h_m(i - 1) + u(i - 2)``.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import scipy.linalg
+
+from fracbench.model.kernels.arrays import Array, Float64Array
+from fracbench.model.kernels.cosine import LINES, gather, scatter
+from fracbench.model.kernels.fft import get, put
+from fracbench.model.kernels.jit import jit
+from fracbench.model.kernels.simd import LANES
+
+#: Weights that are taken as they are: the moments begin behind them.
+TAPS = 2
+#: What the errors of all weights may add up to, relative to the largest weight: the rounding of single precision.
+TOLERANCE = 1.2e-7
+_MOST_TERMS = 16
+
+
+class ExponentialSum(NamedTuple):
+    """Weights ``taps(0), taps(1)``, and ``sum_m factors(m) ratios(m)^(k - 2)`` from ``k = 2`` on.
+
+    Attributes
+    ----------
+    taps : ndarray, shape (2,)
+        The first weights.
+    ratios, factors : ndarray, shape (M,)
+        The exponentials.
+    """
+
+    taps: Array
+    ratios: Array
+    factors: Array
+
+
+def exponential_sum(weights: Float64Array, dtype: np.dtype | type) -> ExponentialSum | None:
+    """Find few exponentials that add up to given weights.
+
+    In the space of the first singular vectors of the weights' Hankel matrix, the shift by one is a matrix whose
+    eigenvalues are the ratios (ESPRIT, Roy and Kailath 1989).
+
+    Parameters
+    ----------
+    weights : ndarray, shape (n,), float64
+        Gruenwald-Letnikov weights, at least eight.
+    dtype : dtype-like
+        Precision of the result.
+
+    Returns
+    -------
+    ExponentialSum or None
+        None if `TOLERANCE` cannot be kept with real ratios in (0, 1).
+    """
+    tail = weights[TAPS:]
+    half = len(tail) // 2
+    basis, _, _ = scipy.linalg.svd(scipy.linalg.hankel(tail[: half + 1], tail[half:]), full_matrices=False)
+    powers = np.arange(len(tail))[:, None]
+    for terms in range(1, min(_MOST_TERMS, half) + 1):
+        space = basis[:, :terms]
+        found = np.linalg.eigvals(np.linalg.lstsq(space[:-1], space[1:], rcond=None)[0])
+        if not (np.isreal(found).all() and (found.real > 0.0).all() and (found.real < 1.0).all()):
+            continue
+        ratios = np.sort(found.real.astype(dtype))  # as they will be used: rounding is part of the error
+        exponentials = ratios.astype(float) ** powers
+        factors = np.linalg.lstsq(exponentials, tail, rcond=None)[0]
+        if np.abs(exponentials @ factors - tail).sum() <= TOLERANCE * np.abs(weights).max():
+            return ExponentialSum(weights[:TAPS].astype(dtype), ratios, factors.astype(dtype))
+    return None
+
+
+@jit
+def convolve(
+    x: Array, axis: int, start: int, stop: int, weights: ExponentialSum, reverse: bool, out: Array
+) -> None:
+    """Write ``sum_k w_k x(j - k)``, or ``x(j + k)`` in reverse, of the lines ``start..stop-1``, x being 0 outside.
+
+    Parameters
+    ----------
+    x : ndarray, shape (H, W), C-contiguous
+        Image.
+    axis : {0, 1}
+        Axis along which the lines run.
+    start, stop : int
+        Lines; `start` is a multiple of `LINES`.
+    weights : ExponentialSum
+        ``w_k``, in x's precision.
+    reverse : bool
+        The adjoint.
+    out : ndarray, shape (H, W), C-contiguous
+        May be `x`.
+    """
+    n, terms = x.shape[axis], weights.ratios.size
+    taps, ratios, factors = weights
+    natural = np.arange(n)
+    work, state = np.empty((2 * n, LANES), x.dtype), np.empty((2 * (terms + 1), LANES), x.dtype)
+    for first in range(start, stop, LINES):
+        gather(x, axis, first, natural, work, 0)
+        state[...] = 0.0
+        a1, b1 = get(state, terms)
+        a2, b2 = a1, b1
+        for k in range(n):
+            row = n - 1 - k if reverse else k
+            a, b = get(work, row)
+            p, q = taps[0] * a + taps[1] * a1, taps[0] * b + taps[1] * b1
+            for m in range(terms):
+                f, g = get(state, m)
+                f, g = ratios[m] * f + a2, ratios[m] * g + b2
+                put(state, m, f, g)
+                p, q = p + factors[m] * f, q + factors[m] * g
+            put(work, row, p, q)
+            a1, b1, a2, b2 = a, b, a1, b1
+        scatter(work, 0, natural, out, axis, first, False)

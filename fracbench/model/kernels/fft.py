@@ -1,0 +1,335 @@
+"""Complex Fourier transforms of any length, of eight lines at once and in place (`fracbench.model.kernels.simd`).
+
+A workspace ``work`` of shape (2 N, LANES) holds N complex rows of eight: its rows 2 r and 2 r + 1 are the real
+and the imaginary part of row r. A transform takes the n rows from ``base`` on.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fracbench.model.kernels.arrays import Array
+from fracbench.model.kernels.jit import jit
+from fracbench.model.kernels.simd import LANES, Lanes, load_row, store_row
+
+
+class LinePlan(NamedTuple):
+    """What the transforms of one length need, all computed in float64 and rounded once.
+
+    The Fourier transform leaves its results in the order of its digits reversed (decimation in frequency);
+    nothing is ever moved for that: whoever reads a result looks up its row.
+
+    Attributes
+    ----------
+    radices : ndarray of int
+        Lengths of the Fourier transform's passes.
+    starts, root_starts : ndarray of int
+        Where the twiddle factors and the roots of each pass begin.
+    together : int
+        Number of passes that go over all rows before the transforms that are left are completed one by one.
+    results : ndarray of int, shape (n,)
+        Row in which each result of the Fourier transform stands.
+    forth : ndarray of int, shape (n,)
+        Row at which each sample goes in: the even ones first, then the odd ones backwards.
+    back : ndarray of int, shape (n,)
+        Row in which each sample stands after a transform back.
+    natural : ndarray of int, shape (n,)
+        0, 1, ... n-1.
+    twiddles : ndarray, shape (2, number)
+        Cosines and sines of the passes, one after the other.
+    roots : ndarray, shape (number, 4)
+        Cosines and sines of the odd radices above 5, as `_odd_radix` takes them.
+    quarter : ndarray, shape (2, n)
+        ``cos(pi k / (2 n))`` and ``sin(pi k / (2 n))``.
+    """
+
+    radices: NDArray[np.intp]
+    starts: NDArray[np.intp]
+    root_starts: NDArray[np.intp]
+    together: int
+    results: NDArray[np.intp]
+    forth: NDArray[np.intp]
+    back: NDArray[np.intp]
+    natural: NDArray[np.intp]
+    twiddles: Array
+    roots: Array
+    quarter: Array
+
+
+#: Transforms of as many rows are completed one by one: 6 to 16 KB in float32, which the first-level cache holds.
+#: For fewer the calls take longer than they spare.
+LEAST_ROWS, MOST_ROWS = 96, 256
+
+
+@lru_cache(maxsize=128)
+def line_plan(n: int, dtype: np.dtype) -> LinePlan:
+    """Return the plan for lines of length `n`.
+
+    Parameters
+    ----------
+    n : int
+        Length, at least 1. Any length works; a prime factor above 5 costs its square.
+    dtype : dtype
+        float32 or float64.
+
+    Returns
+    -------
+    LinePlan
+        The plan.
+    """
+    radices = _radices(n)
+    twiddles, roots, rests = [], [np.zeros((0, 4))], [n]
+    for radix in radices:
+        rest = rests[-1] // radix
+        twiddles.append(-2.0 * np.pi * np.outer(np.arange(rest), np.arange(1, radix)).ravel() / (rest * radix))
+        roots.append(_odd_roots(radix) if radix > 5 else roots[0])
+        rests.append(rest)
+    samples = np.concatenate([np.arange(0, n, 2), np.arange(n - 1 - n % 2, 0, -2)])
+    forth = np.argsort(samples)
+    results = np.argsort(_digits_reversed(radices))
+    return LinePlan(
+        radices=np.array(radices, np.intp),
+        starts=np.cumsum([0, *map(len, twiddles)], dtype=np.intp),
+        root_starts=np.cumsum([0, *map(len, roots[1:])], dtype=np.intp),
+        together=next((i for i, rest in enumerate(rests) if LEAST_ROWS <= rest <= MOST_ROWS), 0),
+        results=results.astype(np.intp),
+        forth=forth.astype(np.intp),
+        back=results[forth].astype(np.intp),
+        natural=np.arange(n, dtype=np.intp),
+        twiddles=_cosines_and_sines(twiddles, dtype),
+        roots=np.concatenate(roots).astype(dtype),
+        quarter=_cosines_and_sines([np.pi * np.arange(n) / (2 * n)], dtype),
+    )
+
+
+def _radices(n: int) -> list[int]:
+    """Return the factors of `n` in the order of their passes: fours, the others from the largest on, a four.
+
+    So the rows that a reader of the results takes one after another are seldom a multiple of 4096 bytes apart, at
+    which distance they push each other out of the first-level cache; and the passes that are repeated most, and
+    have the shortest loops, are cheap ones.
+    """
+    factors, rest = [], n
+    for radix in (4, 2, 3, 5):
+        while rest % radix == 0:
+            factors.append(radix)
+            rest //= radix
+    radix = 7
+    while rest > 1:
+        if rest % radix == 0:
+            factors.append(radix)
+            rest //= radix
+        else:
+            radix += 2
+    fours, others = ([radix for radix in factors if (radix == 4) == four] for four in (True, False))
+    return fours[1:] + others[::-1] + fours[:1]
+
+
+def _digits_reversed(radices: list[int]) -> NDArray[np.intp]:
+    """Return the frequency that stands in each row after the passes."""
+    frequencies = np.zeros(1, np.intp)
+    for radix in reversed(radices):
+        frequencies = np.concatenate([frequencies * radix + j for j in range(radix)])
+    return frequencies
+
+
+def _odd_roots(radix: int) -> NDArray[np.float64]:
+    """Return the cosines and sines of an odd radix in the order in which `_odd_radix` takes them."""
+    j = np.arange(1, radix // 2 + 1)
+    angles = [-2.0 * np.pi * (np.outer(i, j).ravel() % radix) / radix for i in (j[::2], j[::2] + 1)]
+    return np.stack([f(angle) for angle in angles for f in (np.cos, np.sin)], axis=1)
+
+
+def _cosines_and_sines(angles: list[NDArray[np.float64]], dtype: np.dtype) -> Array:
+    angle = np.concatenate(angles) if angles else np.zeros(0)
+    return np.array([np.cos(angle), np.sin(angle)]).astype(dtype)
+
+
+@jit
+def get(work: Array, row: int) -> tuple[Lanes, Lanes]:
+    """Return the real and the imaginary part of a row."""
+    return load_row(work, 2 * row), load_row(work, 2 * row + 1)
+
+
+@jit
+def put(work: Array, row: int, x: Lanes, y: Lanes) -> None:
+    """Write the real and the imaginary part of a row."""
+    store_row(work, 2 * row, x)
+    store_row(work, 2 * row + 1, y)
+
+
+@jit
+def _put_turned(work: Array, row: int, x: Lanes, y: Lanes, twiddles: Array, k: int) -> None:
+    """Write a row times a twiddle factor."""
+    at = np.uintp(k)
+    c, s = twiddles[0, at], twiddles[1, at]
+    put(work, row, c * x - s * y, c * y + s * x)
+
+
+@jit
+def fourier(work: Array, base: int, plan: LinePlan) -> None:
+    """Transform the rows `base`, `base` + 1, ... of `work` in place; ``plan.results`` says what then is where."""
+    n, passes = plan.results.size, plan.radices.size
+    first = int(np.intp(0))  # a literal 0 would have every pass compiled twice, once for it
+    rest = _passes(work, base, n, first, plan.together, plan)
+    for start in range(base, base + n, rest):
+        _passes(work, start, rest, plan.together, passes, plan)
+
+
+@jit
+def _passes(work: Array, start: int, rows: int, first: int, last: int, plan: LinePlan) -> int:
+    """Take the passes ``first..last-1`` over some `rows`; return the length of the transforms that are left."""
+    stop, rest = start + rows, rows
+    for i in range(first, last):
+        radix, k = plan.radices[i], plan.starts[i]
+        rest //= radix
+        if radix == 4:
+            _radix4(work, start, stop, rest, plan.twiddles, k)
+        elif radix == 2:
+            _radix2(work, start, stop, rest, plan.twiddles, k)
+        elif radix == 3:
+            _radix3(work, start, stop, rest, plan.twiddles, k)
+        elif radix == 5:
+            _radix5(work, start, stop, rest, plan.twiddles, k)
+        else:
+            _odd_radix(work, start, stop, radix, rest, plan.twiddles, k, plan.roots, plan.root_starts[i])
+    return rest
+
+
+@jit
+def _radix2(work: Array, start: int, stop: int, rest: int, twiddles: Array, first: int) -> None:
+    for block in range(start, stop, 2 * rest):
+        for p in range(rest):
+            row = block + p
+            ar, ai = get(work, row)
+            br, bi = get(work, row + rest)
+            put(work, row, ar + br, ai + bi)
+            _put_turned(work, row + rest, ar - br, ai - bi, twiddles, first + p)
+
+
+@jit
+def _radix3(work: Array, start: int, stop: int, rest: int, twiddles: Array, first: int) -> None:
+    half = twiddles.dtype.type(0.5)
+    root = twiddles.dtype.type(np.sqrt(0.75))
+    for block in range(start, stop, 3 * rest):
+        for p in range(rest):
+            row, k = block + p, first + 2 * p
+            ar, ai = get(work, row)
+            br, bi = get(work, row + rest)
+            cr, ci = get(work, row + 2 * rest)
+            sr, si = br + cr, bi + ci
+            dr, di = root * (br - cr), root * (bi - ci)
+            mr, mi = ar - half * sr, ai - half * si
+            put(work, row, ar + sr, ai + si)
+            _put_turned(work, row + rest, mr + di, mi - dr, twiddles, k)
+            _put_turned(work, row + 2 * rest, mr - di, mi + dr, twiddles, k + 1)
+
+
+@jit
+def _radix4(work: Array, start: int, stop: int, rest: int, twiddles: Array, first: int) -> None:
+    for block in range(start, stop, 4 * rest):
+        for p in range(rest):
+            row, k = block + p, first + 3 * p
+            ar, ai = get(work, row)
+            br, bi = get(work, row + rest)
+            cr, ci = get(work, row + 2 * rest)
+            dr, di = get(work, row + 3 * rest)
+            er, ei, fr, fi = ar + cr, ai + ci, ar - cr, ai - ci
+            gr, gi, hr, hi = br + dr, bi + di, br - dr, bi - di
+            put(work, row, er + gr, ei + gi)
+            _put_turned(work, row + rest, fr + hi, fi - hr, twiddles, k)
+            _put_turned(work, row + 2 * rest, er - gr, ei - gi, twiddles, k + 1)
+            _put_turned(work, row + 3 * rest, fr - hi, fi + hr, twiddles, k + 2)
+
+
+@jit
+def _radix5(work: Array, start: int, stop: int, rest: int, twiddles: Array, first: int) -> None:
+    real = twiddles.dtype.type
+    c1, c2 = real(np.cos(0.4 * np.pi)), real(np.cos(0.8 * np.pi))
+    s1, s2 = real(np.sin(0.4 * np.pi)), real(np.sin(0.8 * np.pi))
+    for block in range(start, stop, 5 * rest):
+        for p in range(rest):
+            row, k = block + p, first + 4 * p
+            ar, ai = get(work, row)
+            br, bi = get(work, row + rest)
+            cr, ci = get(work, row + 2 * rest)
+            dr, di = get(work, row + 3 * rest)
+            er, ei = get(work, row + 4 * rest)
+            pr, pi, qr, qi = br + er, bi + ei, br - er, bi - ei
+            ur, ui, vr, vi = cr + dr, ci + di, cr - dr, ci - di
+            put(work, row, ar + pr + ur, ai + pi + ui)
+            mr, mi = ar + c1 * pr + c2 * ur, ai + c1 * pi + c2 * ui
+            nr, ni = s1 * qr + s2 * vr, s1 * qi + s2 * vi
+            _put_turned(work, row + rest, mr + ni, mi - nr, twiddles, k)
+            _put_turned(work, row + 4 * rest, mr - ni, mi + nr, twiddles, k + 3)
+            mr, mi = ar + c2 * pr + c1 * ur, ai + c2 * pi + c1 * ui
+            nr, ni = s2 * qr - s1 * vr, s2 * qi - s1 * vi
+            _put_turned(work, row + 2 * rest, mr + ni, mi - nr, twiddles, k + 1)
+            _put_turned(work, row + 3 * rest, mr - ni, mi + nr, twiddles, k + 2)
+
+
+@jit
+def _odd_radix(
+    work: Array,
+    start: int,
+    stop: int,
+    radix: int,
+    rest: int,
+    twiddles: Array,
+    first: int,
+    roots: Array,
+    first_root: int,
+) -> None:
+    # The terms j and radix - j share their cosine and, but for the sign, their sine: half the products.
+    half = radix // 2
+    pairs = np.empty((4 * half + 4, LANES), work.dtype)
+    for block in range(start, stop, radix * rest):
+        for p in range(rest):
+            row, k = block + p, first + (radix - 1) * p
+            ar, ai = get(work, row)
+            tr, ti, zero = ar, ai, ar - ar
+            for j in range(1, half + 1):
+                xr, xi = get(work, row + j * rest)
+                yr, yi = get(work, row + (radix - j) * rest)
+                put(pairs, 2 * j, xr + yr, xi + yi)
+                put(pairs, 2 * j + 1, xr - yr, xi - yi)
+                tr, ti = tr + (xr + yr), ti + (xi + yi)
+            put(work, row, tr, ti)
+            at = np.uintp(first_root)
+            for i in range(1, half + 1, 2):  # two at a time: each term, once loaded, serves two sums
+                fr, fi, gr, gi = ar, ai, ar, ai
+                pr, pi, qr, qi = zero, zero, zero, zero
+                for j in range(1, half + 1):
+                    xr, xi = get(pairs, 2 * j)
+                    yr, yi = get(pairs, 2 * j + 1)
+                    c, s = roots[at, 0], roots[at, 1]
+                    fr, fi, pr, pi = fr + c * xr, fi + c * xi, pr + s * yr, pi + s * yi
+                    c, s = roots[at, 2], roots[at, 3]
+                    gr, gi, qr, qi = gr + c * xr, gi + c * xi, qr + s * yr, qi + s * yi
+                    at += np.uintp(1)
+                _put_mirrored(work, row, rest, i, radix, fr, fi, pr, pi, twiddles, k)
+                if i + 1 <= half:
+                    _put_mirrored(work, row, rest, i + 1, radix, gr, gi, qr, qi, twiddles, k)
+
+
+@jit
+def _put_mirrored(
+    work: Array,
+    row: int,
+    rest: int,
+    i: int,
+    radix: int,
+    xr: Lanes,
+    xi: Lanes,
+    yr: Lanes,
+    yi: Lanes,
+    twiddles: Array,
+    k: int,
+) -> None:
+    """Write the results i and radix - i: cosine sum plus and minus i times the sine sum."""
+    _put_turned(work, row + i * rest, xr - yi, xi + yr, twiddles, k + i - 1)
+    _put_turned(work, row + (radix - i) * rest, xr + yi, xi - yr, twiddles, k + radix - i - 1)

@@ -1,0 +1,208 @@
+r"""Long convolutions undone line by line: the u-system under `zero` where a basis has made one axis diagonal.
+
+A left derivative is the output of a system with a short memory (`kernels.exponential_sum`). Before sample j
+it knows ``x_0 = u(j - 1)`` and one number an exponential, ``x_m = sum_{k >= 2} rho_m^(k - 2) u(j - k)``, and gives
+``u(j) + w x`` with ``w = (w_1, c_1, ..., c_M)``. So ``(s + mu T^T T) u = f`` is a control problem: find the least
+``sum_j s/2 u(j)^2 + mu/2 (u(j) + w x(j))^2 - f(j) u(j)``. From the last sample back (Bellman), the best u(j) is
+linear in what is known before it, and what that costs is quadratic again,
+
+    ``u(j) = (f(j) + q_0(j + 1)) / r(j) - k(j) x(j)``.
+
+The gains k and r are a matter of s and mu alone (a Riccati recursion). With them a line takes one pass backwards,
+which carries q, and one forwards, which carries x. With a memory of one sample, it is the elimination in
+`fracbench.model.kernels.forward_rows`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fracbench.model.kernels.arrays import Array, Float64Array
+from fracbench.model.kernels.cosine import LINES, gather, scatter
+from fracbench.model.kernels.exponential_sum import ExponentialSum
+from fracbench.model.kernels.fft import get, put
+from fracbench.model.kernels.jit import jit
+from fracbench.model.kernels.simd import LANES
+
+
+class LineGains(NamedTuple):
+    """What is known of the lines' systems beforehand.
+
+    Attributes
+    ----------
+    rows : ndarray, shape (number, 2 (M + 2), LANES)
+        ``1 / r`` and the gains on x, of `LINES` lines each, in the precision of the weights.
+    which : ndarray of int, shape (ceil(lines / LINES), n)
+        The row of each block of lines and each sample, counted from the last one: they change less and less.
+    """
+
+    rows: Array
+    which: NDArray[np.intp]
+
+
+def line_gains(weights: ExponentialSum, direct: Float64Array, mu: float, n: int) -> LineGains:
+    """Eliminate in the lines' systems, ``direct(i) + mu T^T T``.
+
+    Parameters
+    ----------
+    weights : ExponentialSum
+        The left derivative T; the first weight is 1.
+    direct : ndarray, shape (lines,), float64
+        ``1/theta + mu l`` with the other axis' eigenvalues l, positive.
+    mu : float
+        Split Bregman parameter.
+    n : int
+        Length of the lines.
+
+    Returns
+    -------
+    LineGains
+        For `solve_lines`.
+    """
+    blocks, dtype = math.ceil(len(direct) / LINES), weights.ratios.dtype
+    lanes = np.pad(direct, (0, blocks * LINES - len(direct)), mode="edge").reshape(blocks, LINES)
+    known = np.concatenate([weights.taps[1:], weights.factors]).astype(np.float64)
+    ratios, tolerance = weights.ratios.astype(np.float64), float(np.finfo(dtype).eps)
+    room, which = np.empty((n, len(known) + 1, LINES), dtype), np.empty((blocks, n), np.intp)
+    parts, number = [], 0
+    for lane, place in zip(lanes, which, strict=True):
+        parts.append(room[: _eliminate(known, ratios, lane, mu, tolerance, room, place)].copy())
+        place += number
+        number += len(parts[-1])
+    return LineGains(np.concatenate(parts).reshape(number, -1, LANES), which)
+
+
+@jit
+def _eliminate(
+    known: Float64Array,
+    ratios: Float64Array,
+    lanes: Float64Array,
+    mu: float,
+    tolerance: float,
+    rows: Array,
+    which: NDArray[np.intp],
+) -> int:
+    """Write the gains of some lines, each row for as long as they stay the same to rounding; return their number.
+
+    From step to step, what x costs changes by ``change y y^T``, of rank one: a step takes a few operations a state
+    (the Riccati recursion in Chandrasekhar's form).
+    """
+    n, states = len(rows), known.size
+    r = lanes + mu
+    change = mu * lanes / r
+    y, kr = np.empty((states, LINES)), np.empty((states, LINES))
+    for m in range(states):
+        y[m] = known[m]
+        kr[m] = mu * known[m]
+    gain, kept = np.empty((states, LINES)), np.zeros((states, LINES))
+    inverse, drift = np.empty(LINES), np.empty(LINES)
+    number, since = 0, 0
+    for step in range(n):
+        for i in range(LINES):
+            inverse[i] = 1.0 / r[i]
+            drift[i] = 0.0
+        for m in range(states):
+            reach = 1.0 / (1.0 - ratios[m - 1]) if m > 0 else 1.0  # the most that x_m makes of u
+            for i in range(LINES):
+                gain[m, i] = kr[m, i] * inverse[i]
+                drift[i] += reach * abs(gain[m, i] - kept[m, i])
+        if step == 0 or drift.max() > tolerance:
+            for i in range(LINES):
+                rows[number, 0, i] = inverse[i]
+            for m in range(states):
+                for i in range(LINES):
+                    rows[number, m + 1, i] = kept[m, i] = gain[m, i]
+            number, since = number + 1, step
+        which[step] = number - 1
+        if step > 2 * since:  # what is left changes at least as the inverse of the step: as much again at most
+            which[step:] = number - 1
+            break
+        _step_back(ratios, gain, r, change, kr, y)
+    return number
+
+
+@jit
+def _step_back(
+    ratios: Float64Array,
+    gain: Float64Array,
+    r: Float64Array,
+    change: Float64Array,
+    kr: Float64Array,
+    y: Float64Array,
+) -> None:
+    """Go to the sample before; to the next, x goes as ``x_m <- rho_m x_m + x_0``, ``x_0 <- u``."""
+    passed, fed, rise = np.zeros(LINES), np.empty(LINES), np.empty(LINES)
+    for m in range(1, len(y)):
+        for i in range(LINES):
+            passed[i] += y[m, i]
+    for i in range(LINES):
+        fed[i] = y[0, i]
+        rise[i] = change[i] * fed[i]
+        larger = r[i] + rise[i] * fed[i]
+        change[i] *= r[i] / larger
+        r[i] = larger
+    for m in range(len(y)):
+        for i in range(LINES):
+            back = ratios[m - 1] * y[m, i] if m > 0 else passed[i]
+            kr[m, i] += rise[i] * back
+            y[m, i] = back - gain[m, i] * fed[i]
+
+
+@jit
+def solve_lines(x: Array, axis: int, start: int, stop: int, ratios: Array, gains: LineGains) -> None:
+    """Solve the systems of the lines ``start..stop-1``.
+
+    Parameters
+    ----------
+    x : ndarray, shape (H, W), C-contiguous
+        Right-hand sides, overwritten by the solutions.
+    axis : {0, 1}
+        Axis along which the lines run.
+    start, stop : int
+        Lines; `start` is a multiple of `LINES`.
+    ratios : ndarray, shape (M,)
+        Of the exponentials, in x's precision.
+    gains : LineGains
+        From `line_gains`.
+    """
+    n, terms = x.shape[axis], ratios.size
+    rows, which = gains
+    natural = np.arange(n)
+    work, state = np.empty((2 * n, LANES), x.dtype), np.empty((2 * (terms + 1), LANES), x.dtype)
+    for first in range(start, stop, LINES):
+        place = which[first // LINES]
+        gather(x, axis, first, natural, work, 0)
+        state[...] = 0.0  # q, without q_0
+        q, s = get(state, terms)
+        for k in range(n - 1, -1, -1):
+            gain = rows[place[n - 1 - k]]
+            f, g = get(work, k)
+            a, b = f + q, g + s
+            put(work, k, a, b)
+            c, d = get(gain, 1)
+            q, s = a - a - c * a, b - b - d * b  # as x_0 goes into every other x_m, q_0 gathers every other q_m
+            for m in range(terms):
+                f, g = get(state, m)
+                q, s = q + f, s + g
+                c, d = get(gain, m + 2)
+                put(state, m, ratios[m] * f - c * a, ratios[m] * g - d * b)
+        state[...] = 0.0  # x, without x_0
+        p, o = get(state, terms)
+        for k in range(n):
+            gain = rows[place[n - 1 - k]]
+            a, b = get(work, k)
+            c, d = get(gain, 0)
+            f, g = get(gain, 1)
+            u, v = c * a - f * p, d * b - g * o
+            for m in range(terms):
+                c, d = get(gain, m + 2)
+                f, g = get(state, m)
+                u, v = u - c * f, v - d * g
+                put(state, m, ratios[m] * f + p, ratios[m] * g + o)
+            put(work, k, u, v)
+            p, o = u, v
+        scatter(work, 0, natural, x, axis, first, False)

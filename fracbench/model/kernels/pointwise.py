@@ -1,0 +1,269 @@
+"""Pointwise steps: thresholding TH (v-step), shrinkage (d- and b-step), and the u-step in its basis."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import types
+from numba.extending import overload
+
+from fracbench.model.kernels.arrays import Array
+from fracbench.model.kernels.jit import jit
+
+#: Below this squared image gradient (gray levels per pixel, squared) the data say nothing: TH is 0.
+GRADIENT_IS_ZERO = 1e-10
+
+
+@jit
+def threshold(u: Array, rho_c: Array, gradient: Array, lambda_theta: float, v: Array) -> None:
+    """Write ``v = u + TH(u, u0)``, equations (iterv) and (thresholding).
+
+    For each pixel `v` minimises ``|u - v|^2 / (2 theta) + lambda |rho(v)|`` with
+    ``rho(v) = rho_c + gradient . v``. The third case of TH is read as ``|rho| <= ...`` (errata, item 4).
+
+    Parameters
+    ----------
+    u : ndarray, shape (2, H, W)
+        Flow.
+    rho_c : ndarray, shape (H, W)
+        Constant part of the residual, ``I1w - grad I1w . u0 - I0``.
+    gradient : ndarray, shape (2, H, W)
+        Warped image gradient ``grad I1w``.
+    lambda_theta : float
+        ``lambda * theta``.
+    v : ndarray, shape (2, H, W)
+        Output.
+    """
+    _, height, width = u.shape
+    real = u.dtype.type  # or all would be computed in float64
+    longest, zero, flat = real(lambda_theta), real(0.0), real(GRADIENT_IS_ZERO)
+    for i in range(height):
+        for j in range(width):
+            gx, gy = gradient[0, i, j], gradient[1, i, j]
+            u1, u2 = u[0, i, j], u[1, i, j]
+            g2 = gx * gx + gy * gy
+            rho = rho_c[i, j] + gx * u1 + gy * u2
+            bound = longest * g2
+            if rho < -bound:
+                step = longest
+            elif rho > bound:
+                step = -longest
+            elif g2 < flat:
+                step = zero
+            else:
+                step = -rho / g2
+            v[0, i, j] = u1 + step * gx
+            v[1, i, j] = u2 + step * gy
+
+
+@jit
+def coupled_threshold(
+    u: Array,
+    rho_c: Array,
+    gradient: Array,
+    lambda_: float,
+    theta: float,
+    step: float,
+    relaxation: float,
+    c: Array,
+    target: Array,
+    start: int,
+    stop: int,
+) -> None:
+    """Take the v-step with a multiplier `c` on the constraint that the data term and R see one flow (ADMM).
+
+    The data term ``F(w) = min_v |w - v|^2 / (2 theta) + lambda |rho(v)|`` is given a flow ``w`` of its own.
+    With ``z = u + c``: ``v = z + TH(z)`` for the tightness ``theta + step``, ``w = z + step / (step + theta)
+    (v - z)``, ``c <- z - w``; the u-step then regularises ``target = w - c`` with the tightness `step`. The
+    minimiser is that of E(u, v); the paper's alternation is ``c = 0``, ``w = v``, ``step = theta``.
+
+    Parameters
+    ----------
+    u : ndarray, shape (2, H, W)
+        Flow.
+    rho_c, gradient : ndarray, shapes (H, W) and (2, H, W)
+        The residual, as in `threshold`.
+    lambda_, theta : float
+        Data attachment weight and tightness.
+    step : float
+        Inverse of the penalty on the constraint.
+    relaxation : float
+        In place of u takes ``relaxation u + (1 - relaxation) w``, with the last w; 1 for none.
+    c : ndarray, shape (2, H, W)
+        Multiplier, overwritten.
+    target : ndarray, shape (2, H, W)
+        The last target, overwritten by the next: what the u-step regularises.
+    start, stop : int
+        The rows of the image to take.
+    """
+    real = u.dtype.type  # or all would be computed in float64
+    share, longest = real(step / (step + theta)), real(lambda_ * (theta + step))
+    new, old = real(relaxation), real(1.0 - relaxation)
+    zero, two, flat = real(0.0), real(2.0), real(GRADIENT_IS_ZERO)
+    width = u.shape[2]
+    for i in range(start, stop):
+        for j in range(width):
+            gx, gy = gradient[0, i, j], gradient[1, i, j]
+            c1, c2 = c[0, i, j], c[1, i, j]
+            z1 = c1 + new * u[0, i, j] + old * (target[0, i, j] + c1)
+            z2 = c2 + new * u[1, i, j] + old * (target[1, i, j] + c2)
+            g2 = gx * gx + gy * gy
+            rho = rho_c[i, j] + gx * z1 + gy * z2
+            bound = longest * g2
+            if rho < -bound:
+                move = longest
+            elif rho > bound:
+                move = -longest
+            elif g2 < flat:
+                move = zero
+            else:
+                move = -rho / g2
+            move *= share  # w - z, which is also -c
+            c[0, i, j] = -move * gx
+            c[1, i, j] = -move * gy
+            target[0, i, j] = z1 + two * move * gx
+            target[1, i, j] = z2 + two * move * gy
+
+
+def weight_at(weights: Any, pair: int, pairs: int, i: int, j: int) -> Any:
+    """Return the weight of a pair of derivatives at a pixel.
+
+    Parameters
+    ----------
+    weights : float or ndarray, shape (K, h, w)
+        One weight for all, or planes each of which serves ``pairs / K`` consecutive pairs.
+    pair, pairs : int
+        Which of how many.
+    i, j : int
+        Row and column.
+
+    Returns
+    -------
+    float
+        The weight.
+    """
+    return weights[pair * len(weights) // pairs, i, j] if isinstance(weights, np.ndarray) else weights
+
+
+@overload(weight_at, strict=False)
+def _compile_weight_at(weights: Any, pair: Any, pairs: Any, i: Any, j: Any) -> Any:
+    if isinstance(weights, types.Array):
+        return lambda weights, pair, pairs, i, j: weights[pair * len(weights) // pairs, i, j]
+    return lambda weights, pair, pairs, i, j: weights
+
+
+@jit
+def shrink_difference(z: Array, threshold: Any, w: Array, start: int, stop: int) -> None:
+    """Write ``d - b``, what the u-step needs, for ``d = shrink(z, threshold)`` and ``b = z - d``.
+
+    The shrinkage is isotropic: each (x, y) pair by its euclidean norm, shrink(0) = 0; equation (shrinkalpha).
+    b, equation (csbalpha), is the projection of z on the ball of radius `threshold`.
+
+    Parameters
+    ----------
+    z : ndarray, shape (pairs, 2, h, w)
+        ``D u + b``.
+    threshold : float or ndarray, shape (K, h, w)
+        ``1 / mu``; see `weight_at` for an array.
+    w : ndarray, shape (pairs, 2, h, w)
+        Output.
+    start, stop : int
+        The rows to take.
+    """
+    pairs, _, _, width = z.shape
+    real = z.dtype.type  # or all would be computed in float64
+    one, two = real(1.0), real(2.0)
+    for p in range(pairs):
+        for i in range(start, stop):
+            for j in range(width):
+                zx, zy = z[p, 0, i, j], z[p, 1, i, j]
+                norm = np.sqrt(zx * zx + zy * zy)
+                limit = real(weight_at(threshold, p, pairs, i, j))
+                kept = one if norm <= limit else limit / norm
+                w[p, 0, i, j] = (one - two * kept) * zx
+                w[p, 1, i, j] = (one - two * kept) * zy
+
+
+@jit
+def bregman_update(du: Array, threshold: Any, relaxation: float, z: Array, start: int, stop: int) -> None:
+    """Update ``z <- D u + b``, the state of split Bregman: d and b follow from it (`shrink_difference`).
+
+    Parameters
+    ----------
+    du : ndarray, shape (pairs, 2, h, w)
+        Derivatives of u.
+    threshold : float or ndarray, shape (K, h, w)
+        ``1 / mu``; see `weight_at` for an array.
+    relaxation : float
+        In place of D u takes ``relaxation D u + (1 - relaxation) d``, with the last d; 1 for none.
+    z : ndarray, shape (pairs, 2, h, w)
+        State, overwritten by the next; 0 means that d = b = 0.
+    start, stop : int
+        The rows to take.
+    """
+    pairs, _, _, width = z.shape
+    real = z.dtype.type  # or all would be computed in float64
+    one, new, old = real(1.0), real(relaxation), real(1.0 - relaxation)
+    for p in range(pairs):
+        for i in range(start, stop):
+            for j in range(width):
+                zx, zy = z[p, 0, i, j], z[p, 1, i, j]
+                norm = np.sqrt(zx * zx + zy * zy)
+                limit = real(weight_at(threshold, p, pairs, i, j))
+                kept = one if norm <= limit else limit / norm
+                share = kept + old * (one - kept)  # b is kept z and d the rest of z
+                z[p, 0, i, j] = new * du[p, 0, i, j] + share * zx
+                z[p, 1, i, j] = new * du[p, 1, i, j] + share * zy
+
+
+@jit
+def divide_by_sum(x: Array, along_y: Array, along_x: Array) -> None:
+    """Replace `x` by ``x / (along_y(i) + along_x(j))``: the u-step in the basis of the gradient.
+
+    Parameters
+    ----------
+    x : ndarray, shape (H, W)
+        Coefficients of the right-hand side, overwritten by those of u.
+    along_y, along_x : ndarray, shapes (H,) and (W,), float64
+        From `fracbench.model.operators.base.GradientOperator.factor`.
+    """
+    ys, xs = along_y.astype(x.dtype), along_x.astype(x.dtype)  # or all would be computed in float64
+    for i in range(len(x)):
+        for j in range(x.shape[1]):
+            x[i, j] /= ys[i] + xs[j]
+
+
+@jit
+def add_and_divide(x: Array, y: Array, along_y: Array, along_x: Array, start: int, stop: int) -> None:
+    """Write ``(x + y) / (along_y(i) + along_x(j))`` to `x`, rows ``start..stop-1``; see `divide_by_sum`."""
+    ys, xs = along_y.astype(x.dtype), along_x.astype(x.dtype)  # or all would be computed in float64
+    for i in range(start, stop):
+        for j in range(x.shape[1]):
+            x[i, j] = (x[i, j] + y[i, j]) / (ys[i] + xs[j])
+
+
+@jit
+def mean_squared_change(a: Array, b: Array) -> float:
+    """Return the mean over pixels of ``|a - b|^2``, summed over components, in float64.
+
+    Parameters
+    ----------
+    a, b : ndarray, shape (C, H, W)
+        Two iterates.
+
+    Returns
+    -------
+    float
+        The paper's stopping measure (section 3.4), square pixels.
+    """
+    total, zero = 0.0, a.dtype.type(0.0)
+    components, height, width = a.shape
+    for c in range(components):
+        for i in range(height):
+            row = zero  # a row's sum in the precision of the flow, which is enough for it
+            for j in range(width):
+                change = a[c, i, j] - b[c, i, j]
+                row += change * change
+            total += float(row)
+    return total / (height * width)

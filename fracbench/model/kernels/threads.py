@@ -1,0 +1,117 @@
+"""Threads that share the work on one image; the results do not depend on their number."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from contextvars import ContextVar
+from itertools import pairwise
+from typing import TypeVar
+
+from fracbench.errors import InputError
+from fracbench.model.kernels.cosine import LINES
+
+#: Fewer lines than this are not worth waking a thread for...
+LEAST_LINES = 64
+#: ...nor are images of fewer pixels...
+LEAST_PIXELS = 15_000
+#: ...nor fewer lines than this of what takes a few operations a pixel.
+LEAST_LIGHT_LINES = 256
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+_threads: ContextVar[int] = ContextVar("threads", default=1)
+_pool: ContextVar[ThreadPoolExecutor] = ContextVar("pool")
+
+
+@contextmanager
+def use_threads(number: int) -> Iterator[None]:
+    """Let the solver use several threads within a ``with`` block; one by default.
+
+    Parameters
+    ----------
+    number : int
+        Threads.
+
+    Raises
+    ------
+    InputError
+        Fewer than one.
+    """
+    if number < 1:
+        raise InputError(f"`threads` must be at least 1, got {number}")
+    with ThreadPoolExecutor(number, "fracbench") as pool, _team(pool, number):
+        yield
+
+
+@contextmanager
+def _team(pool: ThreadPoolExecutor, number: int) -> Iterator[None]:
+    tokens = _pool.set(pool), _threads.set(number)
+    try:
+        yield
+    finally:
+        _pool.reset(tokens[0])
+        _threads.reset(tokens[1])
+
+
+@contextmanager
+def worth_threads(pixels: int) -> Iterator[None]:
+    """Let one thread do all within a ``with`` block on images of so few `pixels` that others would take longer."""
+    token = _threads.set(count() if pixels >= LEAST_PIXELS else 1)
+    try:
+        yield
+    finally:
+        _threads.reset(token)
+
+
+def count() -> int:
+    """Return the number of threads that the next `share` may use."""
+    return _threads.get()
+
+
+def share(work: Callable[[int, int], object], lines: int, least: int = LEAST_LINES) -> None:
+    """Call ``work(start, stop)`` for ranges that make up ``0..lines-1``, at the same time.
+
+    Within a range `work` may share on, among the threads that are left to it.
+
+    Parameters
+    ----------
+    work : callable
+        A compiled loop over lines, which releases the GIL and writes each line independently of the others.
+    lines : int
+        Number of lines.
+    least : int, optional
+        Smallest range worth a thread of its own.
+    """
+    parts = 1 if count() == 1 else min(count(), max(1, lines // least))
+    if parts == 1:
+        work(0, lines)
+        return
+    pool, inner = _pool.get(), count() // parts
+    grain = LINES if least >= LINES else 1
+    cuts = [grain * (lines * part // (parts * grain)) for part in range(parts)] + [lines]
+
+    def take(start: int, stop: int) -> None:
+        with _team(pool, inner):
+            work(start, stop)
+
+    others = [pool.submit(take, a, b) for a, b in pairwise(cuts[1:])]
+    take(cuts[0], cuts[1])
+    for other in others:
+        other.result()
+
+
+def each(work: Callable[[T], R], items: Sequence[T]) -> list[R]:
+    """Return ``[work(item) for item in items]``, computed at the same time; see `share`."""
+    if count() == 1:
+        return [work(item) for item in items]
+    found: dict[int, R] = {}
+
+    def take(start: int, stop: int) -> None:
+        for i in range(start, stop):
+            found[i] = work(items[i])
+
+    share(take, len(items), least=1)
+    return [found[i] for i in range(len(items))]

@@ -1,0 +1,334 @@
+"""Gruenwald-Letnikov derivatives (sections 2 and 3.2 of the paper) and the gradient under each boundary rule."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+import scipy.linalg
+
+from fracbench.errors import InputError, unknown_name
+from fracbench.model.kernels.arrays import Array, Float64Array
+from fracbench.model.kernels.exponential_sum import ExponentialSum, convolve, exponential_sum
+from fracbench.model.kernels.jit import jit
+from fracbench.model.kernels.line_elimination import LineGains, line_gains, solve_lines
+from fracbench.model.kernels.pointwise import divide_by_sum
+from fracbench.model.kernels.threads import share
+from fracbench.model.operators.base import GradientOperator, System
+from fracbench.model.operators.reflect import NaturalGradient, ReflectGradient
+
+BOUNDARIES = ("zero", "reflect", "natural")
+ALPHA_RANGE = (0.0, 2.0)
+#: On shorter lines a product with the matrix is faster than a sum of exponentials.
+LEAST_SUMMED = 64
+#: Rows of a product that threads share.
+BLOCK_ROWS = 240
+
+
+def gl_weights(alpha: float, n: int) -> Float64Array:
+    """Return the first `n` Gruenwald-Letnikov weights, ``(-1)^k binom(alpha, k)``.
+
+    The recurrence of section 3.2: ``w_0 = 1``, ``w_k = (1 - (alpha + 1) / k) w_{k-1}``.
+
+    Parameters
+    ----------
+    alpha : float
+        Order of the derivative.
+    n : int
+        Number of weights.
+
+    Returns
+    -------
+    ndarray, shape (n,), float64
+        The weights.
+    """
+    factors = np.ones(n)
+    k = np.arange(1, n)
+    factors[1:] = 1.0 - (alpha + 1.0) / k
+    return np.cumprod(factors, dtype=np.float64)
+
+
+def left_derivative_matrix(alpha: float, n: int, pad: int = 0) -> Float64Array:
+    """Return the left derivative on `n` samples as a dense matrix.
+
+    Parameters
+    ----------
+    alpha : float
+        Order of the derivative.
+    n : int
+        Number of samples; u is 0 outside them.
+    pad : int, optional
+        Number of points after the last sample at which the derivative is evaluated as well
+        (before the first sample it is 0).
+
+    Returns
+    -------
+    ndarray, shape (n + pad, n), float64
+        Lower-triangular Toeplitz; its transpose is the right derivative.
+    """
+    first_row = np.zeros(n)
+    first_row[0] = 1.0
+    return np.asarray(scipy.linalg.toeplitz(gl_weights(alpha, n + pad), first_row))
+
+
+class LeftDerivative:
+    """The left derivative along one axis, `left_derivative_matrix`, in the faster of two forms.
+
+    Parameters
+    ----------
+    alpha, n, pad
+        See `left_derivative_matrix`.
+    dtype : dtype-like
+        Precision.
+
+    Attributes
+    ----------
+    memory : ExponentialSum or None
+        What the weights are a sum of: those of a whole order exactly, of others on long lines in single precision.
+    matrices : tuple of ndarray
+        Where there is no memory, the matrix and its transpose, with which a product from the right is faster.
+    """
+
+    def __init__(self, alpha: float, n: int, pad: int, dtype: np.dtype | type) -> None:
+        self.memory = None if pad else _memory(alpha, n, np.dtype(dtype))
+        self.matrices: tuple[Array, ...] = ()
+        if self.memory is None:
+            matrix = left_derivative_matrix(alpha, n, pad).astype(dtype)
+            self.matrices = matrix, np.ascontiguousarray(matrix.T)
+
+    def apply(self, u: Array, axis: int, out: Array) -> None:
+        """Write ``sum_k w_k u(j - k)`` along `axis` of `u` (0: y, 1: x); without padding `out` is C-contiguous."""
+        self._times(u, axis, False, out)
+
+    def adjoint(self, d: Array, axis: int, out: Array) -> None:
+        """Write the right derivative, ``sum_k w_k d(j + k)``, along `axis` of `d`; `out` as for `apply`."""
+        self._times(d, axis, True, out)
+
+    def _times(self, x: Array, axis: int, transposed: bool, out: Array) -> None:
+        weights = self.memory
+        if weights is not None:
+            share(lambda a, b: convolve(x, axis, a, b, weights, transposed, out), x.shape[1 - axis])
+            return
+        matrix, back = self.matrices[::-1] if transposed else self.matrices
+        if axis == 1:
+            np.matmul(x, back, out=out)
+        else:
+            np.matmul(matrix, x, out=out)
+
+
+@lru_cache(maxsize=256)
+def _memory(alpha: float, n: int, dtype: np.dtype) -> ExponentialSum | None:
+    weights = gl_weights(alpha, max(n, 3))
+    if not weights[3:].any():  # a whole order, or a short line: nothing counts from three samples back
+        rest = np.trim_zeros(weights[2:3]).astype(dtype)
+        return ExponentialSum(weights[:2].astype(dtype), np.zeros_like(rest), rest)
+    return exponential_sum(weights, dtype) if n >= LEAST_SUMMED and dtype == np.float32 else None
+
+
+@jit
+def _weigh_right_hand_side(v: Array, theta: float, mu: float, y: Array, x: Array) -> None:
+    """Write ``v / theta + mu (x + y)`` to `x`."""
+    real = x.dtype.type  # or all would be computed in float64
+    data, penalty = real(1.0 / theta), real(mu)
+    for i in range(len(x)):
+        for j in range(x.shape[1]):
+            x[i, j] = data * v[i, j] + penalty * (x[i, j] + y[i, j])
+
+
+@jit
+def _solve_small(
+    v: Array, w: Array, theta: float, mu: float, matrices: tuple[Array, ...], system: System, u: Array
+) -> None:
+    """Take the u-step by full products, without padding; see `ZeroGradient.solve`.
+
+    Called one by one from Python, the products of small matrices take less time than the calls.
+    """
+    ty, ty_back, tx, tx_back, qy, qy_back, qx, qx_back = matrices
+    along_y, along_x = system
+    y = w[0, 0]  # free once its adjoint is taken
+    np.dot(y, tx, u)
+    np.dot(ty_back, w[0, 1], y)
+    _weigh_right_hand_side(v, theta, mu, y, u)
+    np.dot(qy_back, u, y)
+    np.dot(y, qx, u)
+    divide_by_sum(u, along_y, along_x)
+    np.dot(qy, u, y)
+    np.dot(y, qx_back, u)
+    np.dot(u, tx_back, w[0, 0])
+    np.dot(ty, u, w[0, 1])
+
+
+class ZeroGradient(GradientOperator):
+    """Left derivatives of u extended by 0: the operator of Algorithm 4.
+
+    Parameters
+    ----------
+    alpha, shape, dtype
+        See `GradientOperator`.
+    pad : int, optional
+        Padding in pixels, on which u = 0 but its derivatives count (section 3.2).
+    """
+
+    def __init__(
+        self, alpha: float, shape: tuple[int, int], dtype: np.dtype | type = np.float64, pad: int = 0
+    ) -> None:
+        super().__init__(alpha, shape, dtype)
+        self.pad = pad
+        height, width = shape
+        self.range_shape = (1, 2, height + pad, width + pad)
+        self._along = [LeftDerivative(self.alpha, n, pad, self.dtype) for n in shape]
+        # The lines to eliminate in, in a basis of the other axis: the longer ones, as the products take the rest.
+        axes = (1, 0) if width >= height else (0, 1)
+        memories = [(axis, memory) for axis in axes if (memory := self._along[axis].memory) is not None]
+        self._lines = memories[0] if memories else None
+
+    def apply(self, u: Array) -> Array:
+        d = np.empty(self.range_shape, self.dtype)
+        self.differentiate(u, d)
+        return d
+
+    def differentiate(self, u: Array, d: Array) -> None:
+        height, width = self.shape
+        d[0, 0, height:] = 0.0  # on the padding below and beside the image
+        d[0, 1, :, width:] = 0.0
+        along_y, along_x = self._along
+        along_x.apply(u, 1, d[0, 0, :height])
+        along_y.apply(u, 0, d[0, 1, :, :width])
+
+    def adjoint(self, d: Array) -> Array:
+        x, y = np.empty((2, *self.shape), self.dtype)
+        self._adjoints(d, x, y)
+        x += y
+        return x
+
+    def _adjoints(self, d: Array, x: Array, y: Array) -> None:
+        """Write the adjoints of the derivatives along x and y to `x` and `y`; `y` may be the former's plane."""
+        height, width = self.shape
+        along_y, along_x = self._along
+        along_x.adjoint(d[0, 0, :height], 1, x)
+        along_y.adjoint(d[0, 1, :, :width], 0, y)
+
+    def to_basis(self, u: Array) -> Array:
+        return self._basis(0)[2] @ u @ self._basis(1)[1]
+
+    def from_basis(self, coefficients: Array) -> Array:
+        return self._basis(0)[1] @ coefficients @ self._basis(1)[2]
+
+    def eigenvalues(self) -> tuple[Float64Array, Float64Array]:
+        return self._basis(0)[0], self._basis(1)[0]
+
+    def _basis(self, axis: int) -> tuple[Float64Array, Array, Array]:
+        return _eigenbasis(self.alpha, self.shape[axis], self.pad, self.dtype)
+
+    def factor(self, theta: float, mu: float) -> System:
+        """Return the gains of the lines' systems that a basis of the other axis leaves, if they have a memory."""
+        if self._lines is None:
+            return super().factor(theta, mu)
+        axis, weights = self._lines
+        eigenvalues, _, _ = self._basis(1 - axis)
+        return line_gains(weights, 1.0 / theta + mu * eigenvalues, mu, self.shape[axis])
+
+    def solve(self, v: Array, w: Array, theta: float, mu: float, system: System, u: Array) -> None:
+        if self._lines is not None:
+            axis, weights = self._lines
+            self._solve_by_lines(v, w, theta, mu, axis, weights.ratios, LineGains(*system), u)
+        elif self.pad:
+            super().solve(v, w, theta, mu, system, u)
+        else:
+            matrices = [matrix for along in self._along for matrix in along.matrices]
+            bases = [matrix for axis in (0, 1) for matrix in self._basis(axis)[1:]]
+            _solve_small(v, w, theta, mu, (*matrices, *bases), system, u)
+
+    def _solve_by_lines(
+        self, v: Array, w: Array, theta: float, mu: float, axis: int, ratios: Array, gains: LineGains, u: Array
+    ) -> None:
+        _, basis, transpose = self._basis(1 - axis)
+        y = w[0, 0]  # free once its adjoint is taken
+        self._adjoints(w, u, y)
+        _weigh_right_hand_side(v, theta, mu, y, u)
+        if axis == 1:
+            _product(transpose, u, y)
+        else:
+            _product(u, basis, y)
+        share(lambda a, b: solve_lines(y, axis, a, b, ratios, gains), self.shape[1 - axis])
+        if axis == 1:
+            _product(basis, y, u)
+        else:
+            _product(y, transpose, u)
+        self.differentiate(u, w)
+
+    def normal_matrices(self) -> tuple[Float64Array, Float64Array]:
+        ty = left_derivative_matrix(self.alpha, self.shape[0], self.pad)
+        tx = left_derivative_matrix(self.alpha, self.shape[1], self.pad)
+        return ty.T @ ty, tx.T @ tx
+
+
+def _product(a: Array, b: Array, out: Array) -> None:
+    """Write ``a b`` to `out`, by blocks of rows that threads share: BLAS's own are slower than one.
+
+    How a row is rounded depends on the rows multiplied with it, so the blocks are the same for any threads.
+    """
+
+    def take(start: int, stop: int) -> None:
+        for block in range(start, stop):
+            rows = slice(block * BLOCK_ROWS, (block + 1) * BLOCK_ROWS)
+            np.matmul(a[rows], b, out=out[rows])
+
+    share(take, math.ceil(len(out) / BLOCK_ROWS), least=1)
+
+
+# As many bases as a sweep of 21 orders comes back to at six scales (with fewer it would find none of them): 15 MB
+# on a region, 150 MB on whole frames.
+@lru_cache(maxsize=256)
+def _eigenbasis(alpha: float, n: int, pad: int, dtype: np.dtype) -> tuple[Float64Array, Array, Array]:
+    """Return the eigenvalues of ``T^T T``, a matrix of its eigenvectors in columns, and the transpose."""
+    t = left_derivative_matrix(alpha, n, pad)
+    # The singular values of T, squared, keep the small eigenvalues of T^T T accurate.
+    _, singular, right = scipy.linalg.svd(t, full_matrices=False)
+    back = np.ascontiguousarray(right, dtype)
+    return singular**2, np.ascontiguousarray(back.T), back
+
+
+def make_operator(
+    boundary: str, alpha: float, shape: tuple[int, int], dtype: np.dtype | type = np.float64, pad: int = 0
+) -> GradientOperator:
+    """Return the gradient operator for a boundary rule.
+
+    Parameters
+    ----------
+    boundary : {'zero', 'reflect', 'natural'}
+        Boundary rule, see the table in the module's docstring.
+    alpha : float
+        Order in [0, 2].
+    shape : tuple of int
+        ``(H, W)``.
+    dtype : dtype-like, optional
+        float32 or float64.
+    pad : int, optional
+        Padding in pixels; `zero` only.
+
+    Returns
+    -------
+    GradientOperator
+        The operator.
+
+    Raises
+    ------
+    InputError
+        Unknown boundary, `alpha` outside its range, or a combination that is not defined.
+    """
+    low, high = ALPHA_RANGE
+    if not low <= alpha <= high:
+        raise InputError(f"`alpha` must lie in [{low:g}, {high:g}], got {alpha:g}")
+    if pad and boundary != "zero":
+        raise InputError(f"`pad` belongs to boundary=zero, got pad={pad} with boundary={boundary}")
+    if boundary == "zero":
+        return ZeroGradient(alpha, shape, dtype, pad)
+    if boundary == "reflect":
+        return ReflectGradient(alpha, shape, dtype)
+    if boundary == "natural":
+        if alpha != 1.0:
+            raise InputError(f"boundary=natural is defined for alpha = 1, got alpha = {alpha:g}")
+        return NaturalGradient(alpha, shape, dtype)
+    raise unknown_name("boundary", boundary, BOUNDARIES)

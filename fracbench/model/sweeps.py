@@ -1,0 +1,182 @@
+"""Solvers of the u-step: ``(1/theta + mu (Ny (x) I + I (x) Nx)) u = rhs`` (fractional Euler-Lagrange equation).
+
+``Ny`` and ``Nx`` are the normal operators along the two axes, ``mu = lambda_sb``. The system is symmetric
+positive definite. The gradient operators solve it exactly (`operators.base`); the sweeps here are the
+paper's way, with its misprints corrected.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fracbench.model.kernels.arrays import Array, Float64Array
+from fracbench.model.kernels.forward_rows import differentiate_row, right_hand_side_row
+from fracbench.model.kernels.jit import jit
+
+
+def jacobi_sweep(u: Array, rhs: Array, ny: Array, nx: Array, theta: float, mu: float) -> Array:
+    """Return the next iterate of the fixed point that Algorithm 4 prints, with its signs corrected.
+
+    Parameters
+    ----------
+    u : ndarray, shape (H, W)
+        Current iterate.
+    rhs : ndarray, shape (H, W)
+        ``v/theta + mu D^T (d - b)``.
+    ny, nx : ndarray, shapes (H, H) and (W, W)
+        Normal operators along the axes, in the precision of `u`.
+    theta, mu : float
+        Tightness and split Bregman parameter.
+
+    Returns
+    -------
+    ndarray, shape (H, W)
+        Where the spectral radius exceeds 1 (errata, item 3), repeated sweeps diverge.
+    """
+    next_u: Array = ny @ u
+    _relax_jacobi(u, rhs, u @ nx, np.diag(ny), np.diag(nx), theta, mu, next_u)
+    return next_u
+
+
+@jit
+def _relax_jacobi(
+    u: Array, rhs: Array, along_x: Array, ny: Array, nx: Array, theta: float, mu: float, along_y: Array
+) -> None:
+    """Write the next iterate to `along_y`, ``Ny u``; `along_x` is ``u Nx``, `ny` and `nx` are the diagonals."""
+    real = u.dtype.type  # or all would be computed in float64
+    inverse, penalty = real(1.0 / theta), real(mu)
+    for i in range(len(u)):
+        for j in range(u.shape[1]):
+            diagonal = ny[i] + nx[j]
+            others = along_y[i, j] + along_x[i, j] - diagonal * u[i, j]
+            along_y[i, j] = (rhs[i, j] - penalty * others) / (inverse + penalty * diagonal)
+
+
+@jit
+def _sweep_row(u: Array, row: Array, theta: float, mu: float, i: int) -> None:
+    """Sweep over row `i`, whose right-hand side is `row`; it is overwritten.
+
+    All neighbours but the left one are known before, for all pixels at once; only the rest is a recurrence.
+    """
+    height, width = u.shape
+    real = u.dtype.type  # or all would be computed in float64
+    penalty = real(mu)
+    if i > 0:
+        for j in range(width):
+            row[j] += penalty * u[i - 1, j]
+    if i < height - 1:
+        for j in range(width):
+            row[j] += penalty * u[i + 1, j]
+    for j in range(width - 1):
+        row[j] += penalty * u[i, j + 1]
+    above_and_below = int(i > 0) + int(i < height - 1)
+    inside = real(1.0 / (1.0 / theta + mu * (above_and_below + 2)))
+    end = real(1.0 / (1.0 / theta + mu * (above_and_below + min(1, width - 1))))
+    left = u[i, 0] = row[0] * end
+    for j in range(1, width - 1):
+        row[j] *= inside
+    for j in range(1, width - 1):  # what has to wait for the pixel before it
+        left = row[j] + penalty * inside * left
+        u[i, j] = left
+    if width > 1:
+        u[i, width - 1] = (row[width - 1] + penalty * left) * end
+
+
+@jit
+def gauss_seidel_natural(u: Array, v: Array, w: Array, theta: float, mu: float) -> None:
+    """Take the u-step of Algorithm 3: one sweep in raster order, 5-point stencil without flux, D u after it.
+
+    The right-hand side ``v/theta + mu D^T (d - b)`` is formed row by row as the sweep comes by.
+
+    Parameters
+    ----------
+    u : ndarray, shape (H, W)
+        Current iterate, overwritten.
+    v : ndarray, shape (H, W)
+        Data.
+    w : ndarray, shape (1, 2, H, W)
+        ``d - b``, overwritten by the forward differences of the next u, 0 across the border.
+    theta, mu : float
+        Tightness and split Bregman parameter.
+    """
+    row = np.empty(u.shape[1], u.dtype)
+    for i in range(len(u)):
+        right_hand_side_row(v, w, theta, mu, i, row)
+        _sweep_row(u, row, theta, mu, i)
+        differentiate_row(u, i, w)
+    differentiate_row(u, len(u), w)
+
+
+@jit
+def gauss_seidel_dense(u: Array, rhs: Array, ny: Array, nx: Array, theta: float, mu: float) -> None:
+    """Sweep once over the pixels in raster order with dense normal operators (Algorithm 4, corrected).
+
+    The off-diagonal sums are subtracted, as the Euler-Lagrange equation asks. All pixels of a row share
+    the sum over the other rows, because no other row changes while the sweep is in this one.
+
+    Parameters
+    ----------
+    u : ndarray, shape (H, W)
+        Current iterate, overwritten.
+    rhs : ndarray, shape (H, W)
+        ``v/theta + mu D^T (d - b)``.
+    ny, nx : ndarray, shapes (H, H) and (W, W)
+        Normal operators along the axes, in the precision of `u`.
+    theta, mu : float
+        Tightness and split Bregman parameter.
+    """
+    height, width = u.shape
+    real = u.dtype.type  # or all would be computed in float64
+    inverse, penalty = real(1.0 / theta), real(mu)
+    others = np.empty(width, u.dtype)
+    for i in range(height):
+        others[:] = 0.0
+        for p in range(height):
+            if p != i:
+                for j in range(width):
+                    others[j] += ny[i, p] * u[p, j]
+        for j in range(width):
+            row_sum = -nx[j, j] * u[i, j]
+            for q in range(width):
+                row_sum += nx[j, q] * u[i, q]
+            diagonal = inverse + penalty * (ny[i, i] + nx[j, j])
+            u[i, j] = (rhs[i, j] - penalty * (others[j] + row_sum)) / diagonal
+
+
+@jit
+def gauss_seidel_literal(u: Array, rhs: Array, weights: Float64Array, theta: float, mu: float) -> None:
+    """Sweep as `gauss_seidel_dense` does, by the double sums that Algorithm 4 prints (signs corrected).
+
+    The twin that the speed of the others is measured against: the cost of a sweep grows with
+    ``H W (H^2 + W^2)``.
+
+    Parameters
+    ----------
+    u : ndarray, shape (H, W)
+        Current iterate, overwritten.
+    rhs : ndarray, shape (H, W)
+        ``v/theta + mu D^T (d - b)``.
+    weights : ndarray, shape (max(H, W),), float64
+        Gruenwald-Letnikov weights.
+    theta, mu : float
+        Tightness and split Bregman parameter.
+    """
+    height, width = u.shape
+    for i in range(height):
+        for j in range(width):
+            others, squares = 0.0, 0.0
+            for p in range(j, width):
+                inner = 0.0
+                for q in range(p + 1):
+                    if q != j:
+                        inner += weights[p - q] * u[i, q]
+                others += weights[p - j] * inner
+                squares += weights[p - j] ** 2
+            for p in range(i, height):
+                inner = 0.0
+                for q in range(p + 1):
+                    if q != i:
+                        inner += weights[p - q] * u[q, j]
+                others += weights[p - i] * inner
+                squares += weights[p - i] ** 2
+            u[i, j] = (rhs[i, j] - mu * others) / (1.0 / theta + mu * squares)
