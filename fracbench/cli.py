@@ -351,7 +351,7 @@ def _bench(arguments: argparse.Namespace) -> int:
 
 
 def _data(arguments: argparse.Namespace) -> int:
-    from fracbench.data import middlebury
+    from fracbench.data.datasets import middlebury
 
     if arguments.download:
         middlebury.download(middlebury.download_folder())

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from fracbench.cli import EXIT_INPUT, main
-from fracbench.data import middlebury as middlebury_data
+from fracbench.data.datasets import middlebury as middlebury_data
+from fracbench.data.datasets.synthetic.scenes import scene
 from fracbench.data.files import write_flo, write_image
-from fracbench.data.synthetic import scene
 from fracbench.errors import DataError
 from fracbench.harness import regression, spread, tolerances
 from fracbench.harness.store import Row

@@ -17,7 +17,7 @@ import yaml
 import fracbench
 from fracbench import api, estimate_flow, session
 from fracbench.cli import EXIT_CHECK, EXIT_DONE, EXIT_FAILED, EXIT_INPUT
-from fracbench.data import middlebury as middlebury_data
+from fracbench.data.datasets import middlebury as middlebury_data
 from fracbench.data.files import read_flow, read_image
 from fracbench.evaluation.metrics import flow_errors
 from fracbench.harness import execute, regression, spread, tolerances

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fracbench.data.sequence import Sequence
+from fracbench.data.pair import Sequence
 from fracbench.errors import InputError
 
 Crop = tuple[

@@ -188,7 +188,7 @@ def _connect(address: str | None) -> Any:
 def _files(job: Job) -> Mapping[str, bytes]:
     if job.point.dataset != "middlebury":
         return {}
-    from fracbench.data import middlebury
+    from fracbench.data.datasets import middlebury
 
     return middlebury.contents(job.point.sequence, str(job.folder))
 
@@ -267,7 +267,7 @@ def _alarm(seconds: float | None, ring: Callable[[], None]) -> Iterator[None]:
 
 def _unpack(job: Job, files: Mapping[str, bytes]) -> None:
     """Load the sequence from what was sent: every file is verified against its registered SHA-256."""
-    from fracbench.data import middlebury
+    from fracbench.data.datasets import middlebury
     from fracbench.harness import task
 
     with tempfile.TemporaryDirectory(prefix="fracbench-") as name:

@@ -15,8 +15,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from fracbench.data.pair import shape_of
 from fracbench.data.regions import Region, require_inside
-from fracbench.data.sequence import shape_of
 from fracbench.errors import InputError, unknown_name
 from fracbench.harness.assets import asset
 from fracbench.harness.composed import remembered

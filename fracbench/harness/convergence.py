@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fracbench.methods.variational import split_bregman_alpha, v_step
+from fracbench.methods.paper import split_bregman_alpha, v_step
 from fracbench.model.energy import energy
 from fracbench.model.kernels.arrays import Array
 from fracbench.model.kernels.pointwise import threshold

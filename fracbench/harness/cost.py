@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from statistics import median
 from typing import Any
 
-from fracbench.data.middlebury import SIZES
+from fracbench.data.datasets.middlebury import SIZES
 from fracbench.harness.point import Point
 from fracbench.harness.store import Row
 

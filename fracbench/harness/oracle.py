@@ -159,7 +159,7 @@ def _kept_flow(point: Point, data: Path | None, flows: Path) -> NDArray[np.float
 
 
 def _mapped(frame0: Any, frame1: Any, params: FlowParams, alphas: Sequence[float], orders: Map) -> Any:
-    from fracbench.methods.adaptive import flow_with_orders
+    from fracbench.methods.alpha_map import flow_with_orders
 
     used = np.unique(orders)  # an order that no pixel has would cost its share of the time
     weights = np.equal.outer(used, orders).astype(params.dtype)

@@ -8,8 +8,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from fracbench.data.pair import list_sequences, shape_of
 from fracbench.data.regions import Region, shifted
-from fracbench.data.sequence import list_sequences, shape_of
 from fracbench.errors import InputError, unknown_name
 from fracbench.harness.config import GROUPS, PARALLEL, RunConfig, group_options, known_keys, load_config
 from fracbench.harness.grid import Axis, Grid, expand_names, parse_overrides
@@ -217,7 +217,7 @@ def _chosen(choices: tuple[tuple[str, str], ...]) -> RunConfig:
 
 
 def _resolve_data(config: RunConfig, allow_download: bool) -> Any:
-    from fracbench.data import middlebury
+    from fracbench.data.datasets import middlebury
 
     dataset = "synthetic" if config.sequence.dataset == "synthetic" else config.dataset
     return middlebury.resolve(dataset, config.data, allow_download)
@@ -291,10 +291,10 @@ def _box(
 @lru_cache(maxsize=1024)
 def _digest(name: str, dataset: str, folder: Path | None, noise: float, seed: int) -> str:
     if dataset == "middlebury":
-        from fracbench.data import middlebury
+        from fracbench.data.datasets import middlebury
 
         return middlebury.digest(name, str(folder))
-    from fracbench.data import synthetic
+    from fracbench.data.datasets.synthetic import scenes as synthetic
 
     return synthetic.digest(name, noise=noise, seed=seed)
 

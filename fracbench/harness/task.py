@@ -13,16 +13,16 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from fracbench.data.pair import Sequence, load_sequence
 from fracbench.data.regions import Crop, Region, crop
-from fracbench.data.sequence import Sequence, load_sequence
 from fracbench.errors import FracbenchError, InputError
 from fracbench.evaluation.metrics import flow_errors
 from fracbench.harness import provenance
 from fracbench.harness.job import Outcome
 from fracbench.harness.memory import peak_mib, reset_peak
 from fracbench.harness.point import Point
+from fracbench.methods.paper import energy_growth
 from fracbench.methods.registry import get_method
-from fracbench.methods.variational import energy_growth
 from fracbench.model.params import FlowParams
 from fracbench.model.structure import errors_by_class, structure_classes
 

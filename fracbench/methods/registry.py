@@ -128,7 +128,7 @@ register(
         "tvl1",
         "TV-L1",
         "thresholding and Chambolle's dual step (Zach et al. 2007, Sanchez et al. 2013)",
-        "fracbench.methods.variational:tvl1",
+        "fracbench.methods.paper:tvl1",
         _PYRAMID | {"tau"},
         _SMALL_STEPS,
     )
@@ -138,7 +138,7 @@ register(
         "tvl1_sb",
         "TV-L1-SB",
         "split Bregman with forward differences, no flux through the border (Algorithms 1-3)",
-        "fracbench.methods.variational:tvl1_sb",
+        "fracbench.methods.paper:tvl1_sb",
         _BREGMAN,
         {"u_solver": "gauss_seidel", "inner": "cold", "coupling": "penalty", **_SMALL_STEPS},
     )
@@ -148,7 +148,7 @@ register(
         "tvl1_sb_alpha",
         "TV-L1-SB-alpha",
         "split Bregman with the fractional gradient (Algorithms 1, 2, 4)",
-        "fracbench.methods.variational:tvl1_sb_alpha",
+        "fracbench.methods.paper:tvl1_sb_alpha",
         _BREGMAN | {"alpha", "boundary", "pad"},
     )
 )
@@ -159,7 +159,7 @@ register(
         "tvl1_sb_alpha_map",
         "TV-L1-SB-alpha, mapped",
         "the same with an order for each class of structure in frame 0: flat, edge, corner, texture",
-        "fracbench.methods.adaptive:tvl1_sb_alpha_map",
+        "fracbench.methods.alpha_map:tvl1_sb_alpha_map",
         _BREGMAN | _BEYOND,
         # the orders that have no weight at a pixel hold its flow back: its changes are smaller, not its distance
         {"n_warps": 5, "max_iter": 10},

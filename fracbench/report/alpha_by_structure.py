@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fracbench.data.lone import LONE
-from fracbench.data.sequence import load_sequence
+from fracbench.data.datasets.synthetic.single_structure import LONE
+from fracbench.data.pair import load_sequence
 from fracbench.errors import InputError
 from fracbench.harness.experiment import Experiment
 from fracbench.harness.plan import Plan

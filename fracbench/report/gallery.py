@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracbench.data.files import read_flow
-from fracbench.data.sequence import list_sequences
+from fracbench.data.pair import list_sequences
 from fracbench.evaluation.metrics import endpoint_error, flow_errors
 from fracbench.harness.flows import flow_file, keep_flow
 from fracbench.harness.plan import Plan, make_plan

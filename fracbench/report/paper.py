@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from fracbench.data.sequence import load_sequence
+from fracbench.data.pair import load_sequence
 from fracbench.errors import InputError, unknown_name
 from fracbench.harness.config import SequenceConfig, load_config
 from fracbench.harness.experiment import Experiment

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fracbench.data.lone import LONE
+from fracbench.data.datasets.synthetic.single_structure import LONE
 from fracbench.model.structure import CLASSES, structure_classes
 from fracbench.report.style import PALETTE, SHADE, STAR, axis_label, house_style, new_figure
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fracbench.errors import InputError
-from fracbench.evaluation.intervals import held_out, mean_interval, minimum_interval
+from fracbench.evaluation.resampling import held_out, mean_interval, minimum_interval
 from fracbench.model.structure import CLASSES
 from fracbench.report.base import FLAT
 

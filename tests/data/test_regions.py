@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fracbench.data.pair import Sequence
 from fracbench.data.regions import Region, crop, shifted
-from fracbench.data.sequence import Sequence
 from fracbench.errors import InputError
 
 H, W = 30, 41

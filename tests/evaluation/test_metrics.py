@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from fracbench.data import middlebury as middlebury_data
+from fracbench.data.datasets import middlebury as middlebury_data
 from fracbench.errors import InputError
 from fracbench.evaluation.metrics import (
     CONVENTIONS,

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from fracbench.data.middlebury import SEQUENCES, SIZES
-from fracbench.data.synthetic import SCENES
+from fracbench.data.datasets.middlebury import SEQUENCES, SIZES
+from fracbench.data.datasets.synthetic.scenes import SCENES
 from fracbench.errors import InputError
 from fracbench.harness import config
 from fracbench.harness.assets import asset

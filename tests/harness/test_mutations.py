@@ -13,7 +13,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fracbench.data import gray, middlebury
+from fracbench.data import gray
+from fracbench.data.datasets import middlebury
 from fracbench.errors import DataError
 from fracbench.evaluation import metrics
 from fracbench.harness import regression, task

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 import fracbench
-from fracbench.data import middlebury as middlebury_data
-from fracbench.data import synthetic
-from fracbench.data.middlebury import SEQUENCES, Resolved
+from fracbench.data.datasets import middlebury as middlebury_data
+from fracbench.data.datasets.middlebury import SEQUENCES, Resolved
+from fracbench.data.datasets.synthetic import scenes as synthetic
 from fracbench.errors import InputError
 from fracbench.harness import plan as plan_module
 from fracbench.harness import point as point_module

@@ -7,11 +7,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from fracbench.data.sequence import load_sequence
+from fracbench.data.pair import load_sequence
 from fracbench.harness import task
 from fracbench.harness.plan import make_plan
 from fracbench.harness.task import hold, run_point
-from fracbench.methods import adaptive, variational
+from fracbench.methods import alpha_map as adaptive
+from fracbench.methods import paper as variational
 
 QUICK = ["sequence=synthetic_parallax", "n_scales=2", "n_warps=1", "max_iter=3"]
 HOMES = {"tvl1_sb_alpha_map": adaptive, "tvl1_sb_alpha": variational}

@@ -10,15 +10,15 @@ import pytest
 from threadpoolctl import threadpool_info
 
 from fracbench import estimate_flow
-from fracbench.data import synthetic
-from fracbench.data.sequence import Sequence
+from fracbench.data.datasets.synthetic import scenes as synthetic
+from fracbench.data.pair import Sequence
 from fracbench.errors import InputError
 from fracbench.evaluation.metrics import flow_errors
 from fracbench.harness import task
 from fracbench.harness.point import Point, canonical_value
 from fracbench.harness.task import point_arrays, run_point
+from fracbench.methods.paper import energy_growth
 from fracbench.methods.registry import get_method
-from fracbench.methods.variational import energy_growth
 from fracbench.model.coarse_to_fine import FlowResult
 from fracbench.model.params import FlowParams
 from fracbench.model.structure import CLASSES, structure_classes

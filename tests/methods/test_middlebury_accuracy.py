@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fracbench import estimate_flow
-from fracbench.data.middlebury import SEQUENCES, load
+from fracbench.data.datasets.middlebury import SEQUENCES, load
 from fracbench.evaluation.metrics import flow_errors
 
 pytestmark = [pytest.mark.middlebury, pytest.mark.slow]

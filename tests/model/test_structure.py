@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.ndimage
 
-from fracbench.data.synthetic import scene
+from fracbench.data.datasets.synthetic.scenes import scene
 from fracbench.errors import InputError
 from fracbench.model.structure import (
     CLASSES,

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fracbench.data.lone import LONE
+from fracbench.data.datasets.synthetic.single_structure import LONE
 from fracbench.errors import InputError
 from fracbench.harness.experiment import load_experiment
 from fracbench.harness.grid import parse_overrides

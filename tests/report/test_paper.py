@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fracbench.data import middlebury as middlebury_data
-from fracbench.data.synthetic import scene
+from fracbench.data.datasets import middlebury as middlebury_data
+from fracbench.data.datasets.synthetic.scenes import scene
 from fracbench.errors import InputError
 from fracbench.harness import plan as plan_module
 from fracbench.harness.experiment import Experiment, load_experiment

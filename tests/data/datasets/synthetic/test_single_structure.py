@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import scipy.optimize
 
-from fracbench.data.lone import LONE, SLANT, SPEEDS, STEP
-from fracbench.data.rendering import Swirl
-from fracbench.data.synthetic import digest, layers, scene
+from fracbench.data.datasets.synthetic.rendering import Swirl
+from fracbench.data.datasets.synthetic.scenes import digest, layers, scene
+from fracbench.data.datasets.synthetic.single_structure import LONE, SLANT, SPEEDS, STEP
 
 SEEDS = (0, 1, 5)
 
@@ -127,6 +127,6 @@ PINNED = {
 
 
 def test_a_changed_rendering_needs_a_new_generator_version():
-    """If this fails, raise `fracbench.data.synthetic.GENERATOR_VERSION` and put the new values here."""
+    """If this fails, raise `scenes.GENERATOR_VERSION` and put the new values here."""
     rendered = {name: scene(name, noise=1.0, seed=1).frame1[50, 60] for name in LONE}
     assert rendered == pytest.approx(PINNED, abs=1e-6)

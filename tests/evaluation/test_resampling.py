@@ -7,7 +7,7 @@ import pytest
 import scipy.stats
 
 from fracbench.errors import InputError
-from fracbench.evaluation.intervals import held_out, mean_interval, minimum_interval
+from fracbench.evaluation.resampling import held_out, mean_interval, minimum_interval
 
 
 def rng() -> np.random.Generator:

@@ -90,10 +90,10 @@ def list_sequences(dataset: str) -> tuple[str, ...]:
         If there is no such data set.
     """
     if match_name(dataset, DATASETS, "dataset") == "middlebury":
-        from fracbench.data.middlebury import SEQUENCES
+        from fracbench.data.datasets.middlebury import SEQUENCES
 
         return SEQUENCES
-    from fracbench.data.synthetic import ALL
+    from fracbench.data.datasets.synthetic.scenes import ALL
 
     return ALL
 
@@ -121,10 +121,10 @@ def shape_of(name: str, dataset: str) -> tuple[int, int]:
     dataset = match_name(dataset, DATASETS, "dataset")
     name = match_name(name, list_sequences(dataset), f"{dataset} sequence")
     if dataset == "middlebury":
-        from fracbench.data.middlebury import SIZES
+        from fracbench.data.datasets.middlebury import SIZES
 
         return SIZES[name]
-    from fracbench.data.synthetic import SHAPES
+    from fracbench.data.datasets.synthetic.scenes import SHAPES
 
     return SHAPES[name]
 
@@ -139,11 +139,11 @@ def load_sequence(
     name : str
         The sequence, without regard to case.
     dataset : {"middlebury", "synthetic"}
-        The data set; `fracbench.data.middlebury.resolve` turns ``"auto"`` into one of them.
+        The data set; `fracbench.data.datasets.middlebury.resolve` turns ``"auto"`` into one of them.
     folder : Path, optional
-        Where the Middlebury files are; looked up by `fracbench.data.middlebury.find` if not given.
+        Where the Middlebury files are; looked up by `fracbench.data.datasets.middlebury.find` if not given.
     noise, seed : float and int, optional
-        Of a rendered scene; see `fracbench.data.synthetic.scene`.
+        Of a rendered scene; see `fracbench.data.datasets.synthetic.scenes.scene`.
 
     Returns
     -------
@@ -160,9 +160,9 @@ def load_sequence(
     dataset = match_name(dataset, DATASETS, "dataset")
     name = match_name(name, list_sequences(dataset), f"{dataset} sequence")
     if dataset == "synthetic":
-        from fracbench.data import synthetic
+        from fracbench.data.datasets.synthetic import scenes as synthetic
 
         return synthetic.scene(name, noise=noise, seed=seed)
-    from fracbench.data import middlebury
+    from fracbench.data.datasets import middlebury
 
     return middlebury.load(name, middlebury.find().folder if folder is None else folder)

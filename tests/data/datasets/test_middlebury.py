@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fracbench.data import middlebury as mb
-from fracbench.data import remote
-from fracbench.data.sequence import list_sequences, load_sequence
+from fracbench.data import download as remote
+from fracbench.data.datasets import middlebury as mb
+from fracbench.data.pair import list_sequences, load_sequence
 from fracbench.errors import DataError, InputError
 
 WAYS = ("FRACBENCH_DATA", "paths.data=", "data/middlebury", "fracbench data --download")
@@ -236,7 +236,7 @@ def test_a_download_completes_what_there_is(monkeypatch, tmp_path):
 
 def test_importing_the_look_up_loads_nothing_heavy():
     code = (
-        "import sys, fracbench.data.middlebury; "
+        "import sys, fracbench.data.datasets.middlebury; "
         "print([m for m in ('numpy', 'scipy', 'pooch', 'requests', 'PIL') if m in sys.modules])"
     )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"

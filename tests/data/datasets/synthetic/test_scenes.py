@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from fracbench.data import synthetic
-from fracbench.data.sequence import Sequence, list_sequences, load_sequence
-from fracbench.data.synthetic import ALL, SCENES, Layer, Motion, layers, scene
+from fracbench.data.datasets.synthetic import scenes as synthetic
+from fracbench.data.datasets.synthetic.scenes import ALL, SCENES, Layer, Motion, layers, scene
+from fracbench.data.pair import Sequence, list_sequences, load_sequence
 from fracbench.errors import InputError
 
 SINGLE = ("flat", "rotation", "zoom")

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fracbench.data.sequence import Sequence, list_sequences, load_sequence
+from fracbench.data.pair import Sequence, list_sequences, load_sequence
 from fracbench.errors import InputError
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from fracbench.errors import InputError
-from fracbench.methods.variational import split_bregman, v_step
+from fracbench.methods.paper import split_bregman, v_step
 from fracbench.model import pyramid
 from fracbench.model.coarse_to_fine import FlowResult, check_frames, coarse_to_fine
 from fracbench.model.data_terms import occlusion as beyond

@@ -1,4 +1,4 @@
-"""Rendered scenes with exact flow: eight of several structures, and six of one (`fracbench.data.lone`).
+"""Rendered scenes with exact flow: eight of several structures, and six of one (`single_structure`).
 
 A scene is a stack of layers. Each has a texture (a sum of cosines, defined at every real point), a support (a
 signed distance, in the layer's own coordinates) and an invertible motion phi. Frame 0 shows the layer at p, frame
@@ -16,9 +16,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from fracbench.data.lone import BUILDERS, LONE
-from fracbench.data.names import match_name
-from fracbench.data.rendering import (
+from fracbench.data.datasets.synthetic.rendering import (
     Layer,
     Motion,
     Studio,
@@ -28,7 +26,9 @@ from fracbench.data.rendering import (
     half_plane,
     true_flow,
 )
-from fracbench.data.sequence import Sequence
+from fracbench.data.datasets.synthetic.single_structure import BUILDERS, LONE
+from fracbench.data.names import match_name
+from fracbench.data.pair import Sequence
 from fracbench.errors import InputError
 
 GENERATOR_VERSION = 1  # part of every digest: raise it whenever a rendered value may change
@@ -54,7 +54,7 @@ def scene(name: str, *, shape: tuple[int, int] | None = None, noise: float = 0.0
         One of `ALL`, without regard to case: ``flat`` (weak texture, slow affine motion), ``edge`` (a straight
         motion edge), ``corner`` (a moving right angle), ``parallax`` (three depths), ``rotation`` (4 degrees),
         ``zoom`` (4 %), ``occlusion`` (a disc crosses), ``large`` (11 pixels, and a small disc); the scenes of one
-        structure are described in `fracbench.data.lone`.
+        structure are described in `fracbench.data.datasets.synthetic.single_structure`.
     shape : (int, int), optional
         Height and width; that of `SHAPES` if not given. Motions stay as they are.
     noise : float, optional

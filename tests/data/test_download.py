@@ -11,8 +11,8 @@ from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 import pooch
 import pytest
 
-from fracbench.data import middlebury as mb
-from fracbench.data.remote import fetch_members
+from fracbench.data.datasets import middlebury as mb
+from fracbench.data.download import fetch_members
 from fracbench.errors import DataError, InputError
 
 # What the two archives hold: a text in the place of each file, and some files nobody asked for.

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from fracbench.methods import adaptive
-from fracbench.methods.adaptive import flow_with_orders, tvl1_sb_alpha_map
-from fracbench.methods.variational import tvl1_sb_alpha
+from fracbench.methods import alpha_map as adaptive
+from fracbench.methods.alpha_map import flow_with_orders, tvl1_sb_alpha_map
+from fracbench.methods.paper import tvl1_sb_alpha
 from fracbench.model.operators.alpha_map import MappedGradient
 from fracbench.model.params import FlowParams
 from fracbench.model.structure import CLASSES

@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from fracbench.data.rendering import (
+from fracbench.data.datasets.synthetic.rendering import (
     MID_GRAY,
     Layer,
     Motion,

@@ -18,7 +18,7 @@ from fracbench.data.names import match_name
 from fracbench.errors import DataError, InputError
 
 if TYPE_CHECKING:
-    from fracbench.data.sequence import Sequence
+    from fracbench.data.pair import Sequence
 
 SEQUENCES = ("Grove2", "Grove3", "Urban2", "Urban3", "RubberWhale", "Hydrangea", "Dimetrodon", "Venus")
 SIZES = {  # height, width
@@ -288,7 +288,7 @@ def load(sequence: str, folder: str | Path) -> Sequence:
     """
     from fracbench.data.files import decode_flo, decode_image
     from fracbench.data.gray import to_gray
-    from fracbench.data.sequence import Sequence
+    from fracbench.data.pair import Sequence
 
     sequence = match_name(sequence, SEQUENCES, "Middlebury sequence")
     content, identity = _verified(sequence, folder)
@@ -328,7 +328,7 @@ def download(folder: str | Path, base_url: str = BASE_URL, timeout: float = 5.0)
             if name.endswith(suffix) and _inspect(name, folder)[0].state != "ok"
         }
         if members:
-            from fracbench.data.remote import fetch_members
+            from fracbench.data.download import fetch_members
 
             try:
                 fetch_members(f"{base_url.rstrip('/')}/{archive}", members, timeout)
