@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from fracbench import console
 from fracbench.errors import InputError
-from fracbench.harness.plan import make_plan
+from fracbench.harness.run.plan import make_plan
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -174,7 +174,7 @@ def _write(
     shown: pd.DataFrame | None = None,
 ) -> None:
     """Show a table, or what sums it up, and write it."""
-    from fracbench.harness.provenance import machine
+    from fracbench.harness.run.provenance import machine
     from fracbench.report.tables import write_table
 
     console.show_table((table if shown is None else shown).round(4), title)

@@ -14,7 +14,7 @@ from fracbench.errors import FracbenchError, InputError
 from fracbench.parser import Parser
 
 if TYPE_CHECKING:
-    from fracbench.harness.experiment import Experiment
+    from fracbench.harness.config.experiment import Experiment
 
 EXIT_DONE, EXIT_CHECK, EXIT_INPUT, EXIT_FAILED = 0, 1, 2, 3
 EXIT_INTERRUPTED = 130  # what a shell reports for SIGINT
@@ -59,7 +59,7 @@ def _dispatch(argv: list[str]) -> int:
 
 def console_entry() -> NoReturn:
     """Run the command line and leave with its exit code: the console script."""
-    from fracbench.harness.memory import return_what_is_freed
+    from fracbench.harness.run.memory import return_what_is_freed
 
     return_what_is_freed()
     sys.exit(main())
@@ -193,7 +193,7 @@ def _add_overrides(parser: argparse.ArgumentParser, *, grid: bool = True) -> Non
 
 
 def _sweep(arguments: argparse.Namespace) -> int:
-    from fracbench.harness.experiment import MAIN, Experiment
+    from fracbench.harness.config.experiment import MAIN, Experiment
 
     tokens = tuple(arguments.overrides)
     if not tokens:
@@ -222,7 +222,7 @@ def _figure(arguments: argparse.Namespace) -> int:
 
 
 def _numbered(kind: str, arguments: argparse.Namespace) -> int:
-    from fracbench.harness.experiment import list_experiments
+    from fracbench.harness.config.experiment import list_experiments
 
     known = [name.removeprefix(kind) for name in list_experiments() if name.removeprefix(kind).isdigit()]
     if arguments.number not in known:
@@ -233,7 +233,7 @@ def _numbered(kind: str, arguments: argparse.Namespace) -> int:
 
 
 def _experiment(arguments: argparse.Namespace) -> int:
-    from fracbench.harness.experiment import load_experiment
+    from fracbench.harness.config.experiment import load_experiment
 
     experiment = load_experiment(arguments.name)
     return _conduct(experiment, _settings(arguments.name, arguments.overrides), arguments)

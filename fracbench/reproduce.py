@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fracbench import console
-from fracbench.harness.experiment import Experiment, list_experiments, load_experiment
-from fracbench.harness.plan import Plan, plan_experiment
-from fracbench.harness.store import Store
+from fracbench.harness.config.experiment import Experiment, list_experiments, load_experiment
+from fracbench.harness.run.plan import Plan, plan_experiment
+from fracbench.harness.run.store import Store
 from fracbench.session import STORE, announce, compute, say_failures
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def report(
     InputError
         Anything that the user can put right.
     """
-    from fracbench.harness.workers import side_by_side
+    from fracbench.harness.run.pool import side_by_side
     from fracbench.report.artefacts import require_renderer
     from fracbench.report.beyond import EXPERIMENTS
     from fracbench.report.gallery import compute_flow, missing_flows

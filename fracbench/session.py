@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from fracbench import console
 from fracbench.errors import InputError
-from fracbench.harness import execute
-from fracbench.harness.experiment import Experiment
-from fracbench.harness.grid import parse_overrides
-from fracbench.harness.plan import Plan, make_plan, plan_experiment
-from fracbench.harness.store import Store
+from fracbench.harness.config.experiment import Experiment
+from fracbench.harness.config.grid import parse_overrides
+from fracbench.harness.run import sweep as execute
+from fracbench.harness.run.plan import Plan, make_plan, plan_experiment
+from fracbench.harness.run.store import Store
 
 if TYPE_CHECKING:
     from fracbench.model.coarse_to_fine import FlowResult
@@ -107,7 +107,7 @@ def perform(
 
     Returns
     -------
-    report : fracbench.harness.execute.Report
+    report : fracbench.harness.run.sweep.Report
         What was computed.
     artefact : fracbench.report.base.Artefact
         What was written.
@@ -145,7 +145,7 @@ def require_workers(jobs: int) -> None:
 
 def announce(plan: Plan, results: Path, jobs: int, *, rerun_failed: bool = False) -> None:
     """Say how many points a plan has, how many are stored, and the minutes that the others take."""
-    from fracbench.harness.cost import expected_seconds
+    from fracbench.harness.run.cost import expected_seconds
 
     with Store(results / STORE, readonly=True) as store:
         report, todo = execute.missing(plan, store, rerun_failed=rerun_failed)
@@ -211,7 +211,7 @@ def run_one(tokens: Sequence[str]) -> None:
         raise InputError(f"run takes one point, {' '.join(tokens)} stands for {len(plan.points)}; use sweep")
     for notice in plan.notices:
         console.note(f"note: {notice}")
-    from fracbench.harness.task import point_arrays
+    from fracbench.harness.run.compute_point import point_arrays
     from fracbench.methods.registry import get_method
     from fracbench.model.params import FlowParams
     from fracbench.report.tables import ensure_folder
@@ -269,7 +269,7 @@ def estimate_files(
     """
     from fracbench.api import DEFAULT_METHOD, estimate_flow
     from fracbench.data.files import read_flow, read_image
-    from fracbench.harness.config import protocol_settings
+    from fracbench.harness.config.compose import protocol_settings
     from fracbench.model.params import FlowParams
 
     grid = parse_overrides(overrides)

@@ -10,8 +10,8 @@ from fracbench.errors import InputError, unknown_name
 from fracbench.session import STORE, require_workers
 
 if TYPE_CHECKING:
-    from fracbench.harness.regression import Verdict
-    from fracbench.harness.status import Standing
+    from fracbench.harness.check.regression import Verdict
+    from fracbench.harness.run.status import Standing
 
 
 def check_references(names: Sequence[str], *, jobs: int) -> bool:
@@ -34,7 +34,7 @@ def check_references(names: Sequence[str], *, jobs: int) -> bool:
     InputError
         An unknown name, or no table at all.
     """
-    from fracbench.harness import regression, tolerances
+    from fracbench.harness.check import regression, tolerances
     from fracbench.model import SOLVER_VERSION
     from fracbench.report.tables import tidy
 
@@ -65,7 +65,7 @@ def say_verdict(verdict: Verdict, word: str = "holds") -> None:
 
 
 def _stored(names: Sequence[str]) -> list[str]:
-    from fracbench.harness.regression import stored_tables
+    from fracbench.harness.check.regression import stored_tables
 
     tables = stored_tables()
     for name in names:
@@ -93,7 +93,7 @@ def update_references(names: Sequence[str], reason: str, *, jobs: int) -> None:
     InputError
         Anything that the user can put right; nothing is written then.
     """
-    from fracbench.harness import regression
+    from fracbench.harness.check import regression
     from fracbench.report.tables import tidy
 
     require_workers(jobs)
@@ -121,7 +121,7 @@ def measure_spread(names: Sequence[str], *, jobs: int, update: bool) -> None:
     """
     import pandas as pd
 
-    from fracbench.harness import regression, spread, tolerances
+    from fracbench.harness.check import regression, spread, tolerances
     from fracbench.report.tables import tidy
 
     require_workers(jobs)
@@ -153,10 +153,10 @@ def show_status(words: Sequence[str], *, as_json: bool) -> None:
     """
     import json
 
-    from fracbench.harness.experiment import list_experiments
-    from fracbench.harness.plan import plan_experiment
-    from fracbench.harness.status import standing
-    from fracbench.harness.store import Store
+    from fracbench.harness.config.experiment import list_experiments
+    from fracbench.harness.run.plan import plan_experiment
+    from fracbench.harness.run.status import standing
+    from fracbench.harness.run.store import Store
 
     settings = [word for word in words if "=" in word]
     names, known = [word for word in words if "=" not in word], list_experiments()
@@ -195,7 +195,7 @@ def compare_runs(first: str, second: str) -> bool:
     Parameters
     ----------
     first, second : str
-        See `fracbench.harness.compare.open_side`; the first counts as stored, the second as found.
+        See `fracbench.harness.check.compare.open_side`; the first counts as stored, the second as found.
 
     Returns
     -------
@@ -207,8 +207,8 @@ def compare_runs(first: str, second: str) -> bool:
     InputError
         A side that is neither, or two of different kinds.
     """
-    from fracbench.harness.compare import compare_sides, open_side
-    from fracbench.harness.tolerances import load_tolerances
+    from fracbench.harness.check.compare import compare_sides, open_side
+    from fracbench.harness.check.tolerances import load_tolerances
 
     stored, found, tolerances = open_side(first), open_side(second), load_tolerances()
     verdicts = compare_sides(stored, found, tolerances)

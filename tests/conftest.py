@@ -12,8 +12,8 @@ from fracbench.data.datasets import middlebury as middlebury_data
 from fracbench.data.datasets.synthetic.scenes import scene
 from fracbench.data.files import write_flo, write_image
 from fracbench.errors import DataError
-from fracbench.harness import regression, spread, tolerances
-from fracbench.harness.store import Row
+from fracbench.harness.check import regression, spread, tolerances
+from fracbench.harness.run.store import Row
 from fracbench.model import SOLVER_VERSION
 from fracbench.report import drawing, style
 

@@ -13,9 +13,9 @@ from fracbench import estimate_flow
 from fracbench.cli import main
 from fracbench.errors import InputError
 from fracbench.harness import bench, growth
-from fracbench.harness.memory import array_bytes
-from fracbench.harness.plan import make_plan
-from fracbench.harness.point import canonical_value
+from fracbench.harness.run.memory import array_bytes
+from fracbench.harness.run.plan import make_plan
+from fracbench.harness.run.point import canonical_value
 from fracbench.report import benchmark
 
 SCENE = "sequence=synthetic_corner"

@@ -20,11 +20,12 @@ from fracbench.cli import EXIT_CHECK, EXIT_DONE, EXIT_FAILED, EXIT_INPUT
 from fracbench.data.datasets import middlebury as middlebury_data
 from fracbench.data.files import read_flow, read_image
 from fracbench.evaluation.metrics import flow_errors
-from fracbench.harness import execute, regression, spread, tolerances
-from fracbench.harness.assets import asset
-from fracbench.harness.store import Store
-from fracbench.harness.tolerances import MEASURED
-from fracbench.harness.workers import LocalCrew
+from fracbench.harness.check import regression, spread, tolerances
+from fracbench.harness.check.tolerances import MEASURED
+from fracbench.harness.config.paths import asset
+from fracbench.harness.run import sweep as execute
+from fracbench.harness.run.pool import LocalCrew
+from fracbench.harness.run.store import Store
 from fracbench.methods.registry import METHODS
 
 COMMANDS = ("sweep", "table", "figure", "experiment", "run", "estimate", "check", "data", "methods")

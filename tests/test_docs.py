@@ -7,7 +7,7 @@ import re
 import pandas as pd
 import pytest
 
-from fracbench.harness.assets import checkout
+from fracbench.harness.config.paths import checkout
 
 HALF = 0.006  # documents give two digits
 

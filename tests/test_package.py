@@ -18,8 +18,8 @@ import pytest
 import fracbench
 from fracbench import cli
 from fracbench.errors import InputError
-from fracbench.harness import assets
-from fracbench.harness.assets import asset, checkout
+from fracbench.harness.config import paths as assets
+from fracbench.harness.config.paths import asset, checkout
 
 ROOT = Path(fracbench.__file__).parents[1]
 ASSETS = ("conf", "docs", "experiments", "results/published", "results/reference", "results/claims.yaml")
@@ -151,7 +151,8 @@ def test_an_installed_package_works_from_another_folder(installed, images):
 
 def test_the_installed_package_is_the_wheels(installed):
     code = (
-        "import fracbench, fracbench.harness.assets as a; print(fracbench.__file__, a.asset('conf'), a.checkout())"
+        "import fracbench, fracbench.harness.config.paths as a; "
+        "print(fracbench.__file__, a.asset('conf'), a.checkout())"
     )
     python = str(installed / "bin" / "python")
     said = subprocess.run([python, "-c", code], capture_output=True, text=True, env=bare(installed), cwd=installed)
@@ -173,7 +174,7 @@ def test_the_versions_of_python_are_said_once(project, wheel):
 
 def test_hydra_is_used_without_a_word_of_warning(monkeypatch):
     """What Hydra 1.3 warns of, 1.4 may refuse; warnings are errors here, and none is silenced."""
-    from fracbench.harness import config
+    from fracbench.harness.config import compose as config
 
     config._compose.cache_clear()
     for group in config.GROUPS:

@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 
 from fracbench import reproduce
-from fracbench.harness import execute
-from fracbench.harness.job import Outcome
+from fracbench.harness.run import sweep as execute
+from fracbench.harness.run.message import Outcome
 from fracbench.report import beyond, html
 
 TINY = "n_scales=1, n_warps=1, max_iter=1, sequence=synthetic_flat"

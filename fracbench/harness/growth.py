@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fracbench.harness import execute
-from fracbench.harness.memory import array_bytes, peak_mib, reset_peak
-from fracbench.harness.plan import make_plan
-from fracbench.harness.store import Store
+from fracbench.harness.run import sweep as execute
+from fracbench.harness.run.memory import array_bytes, peak_mib, reset_peak
+from fracbench.harness.run.plan import make_plan
+from fracbench.harness.run.store import Store
 
 #: From VGA to 8 megapixels: these without a prime factor above 5, and with 17, which costs its square.
 SHAPES = ((480, 640), (960, 1280), (1728, 2304), (2304, 3456), (2448, 3264))

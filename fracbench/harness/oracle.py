@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from fracbench.data.files import atomic_path, read_flow
 from fracbench.errors import FracbenchError
 from fracbench.evaluation.metrics import endpoint_error, flow_errors
-from fracbench.harness.flows import flow_file, keep_flow
-from fracbench.harness.point import Point
-from fracbench.harness.store import canonical_json
-from fracbench.harness.task import point_arrays
+from fracbench.harness.run.compute_point import point_arrays
+from fracbench.harness.run.flows import flow_file, keep_flow
+from fracbench.harness.run.point import Point
+from fracbench.harness.run.store import canonical_json
 from fracbench.model.params import FlowParams
 from fracbench.model.structure import CLASSES, structure_classes
 

@@ -14,10 +14,11 @@ from pathlib import Path
 from statistics import mean
 
 from fracbench import console
-from fracbench.harness import execute, provenance
-from fracbench.harness.job import Job
-from fracbench.harness.plan import Plan, make_plan
-from fracbench.harness.store import Row, Store
+from fracbench.harness.run import provenance
+from fracbench.harness.run import sweep as execute
+from fracbench.harness.run.message import Job
+from fracbench.harness.run.plan import Plan, make_plan
+from fracbench.harness.run.store import Row, Store
 from fracbench.model import SOLVER_VERSION
 
 GRID = ("sequence=synthetic_edge", "alpha=0.05:2:0.05")

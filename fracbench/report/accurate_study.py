@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from fracbench.errors import InputError
 from fracbench.evaluation.selection import leave_one_out
-from fracbench.harness.experiment import Experiment
-from fracbench.harness.plan import Plan
-from fracbench.harness.store import Row
+from fracbench.harness.config.experiment import Experiment
+from fracbench.harness.run.plan import Plan
+from fracbench.harness.run.store import Row
 from fracbench.model.params import FlowParams
 from fracbench.report import tables
 from fracbench.report.base import Artefact, file_stem

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fracbench.errors import InputError
-from fracbench.harness.experiment import Experiment
+from fracbench.harness.config.experiment import Experiment
 from fracbench.harness.oracle import compute_oracle, load_maps, load_oracle, oracle_file
-from fracbench.harness.plan import Plan
-from fracbench.harness.point import Point
-from fracbench.harness.store import Row
+from fracbench.harness.run.plan import Plan
+from fracbench.harness.run.point import Point
+from fracbench.harness.run.store import Row
 from fracbench.report import tables
 from fracbench.report.adaptive_study import (
     BY_CLASS,
@@ -122,7 +122,7 @@ def _oracle_points(plan: Plan) -> dict[str, list[Point]]:
 def _compute_missing(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> None:
     """Compute the bounds of the sequences whose points are all done; a kept one is not computed again."""
     from fracbench import console
-    from fracbench.harness.workers import side_by_side
+    from fracbench.harness.run.pool import side_by_side
 
     flows, folder = (tables.ensure_folder(results / RUNS / name).resolve() for name in ("flows", "oracles"))
     window = options(experiment).window
@@ -188,7 +188,7 @@ def _order_pictures(experiment: Experiment, plan: Plan, results: Path, oracles: 
 
 def _maps(name: str, experiment: Experiment, plan: Plan, results: Path) -> list[tuple[Any, ...]]:
     """Return for a sequence its first frame under the classes, and under the orders by window and by pixel."""
-    from fracbench.harness.task import point_arrays
+    from fracbench.harness.run.compute_point import point_arrays
 
     points = _oracle_points(plan)[name]
     frame0, *_ = point_arrays(points[0], plan.folder)

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 from fracbench.data.datasets.synthetic.single_structure import LONE
 from fracbench.data.pair import load_sequence
 from fracbench.errors import InputError
-from fracbench.harness.experiment import Experiment
-from fracbench.harness.plan import Plan
-from fracbench.harness.store import Row
+from fracbench.harness.config.experiment import Experiment
+from fracbench.harness.run.plan import Plan
+from fracbench.harness.run.store import Row
 from fracbench.report import tables
 from fracbench.report.base import Artefact, file_stem
 from fracbench.report.paper import FIGURES, PRIVATE

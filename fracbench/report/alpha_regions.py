@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fracbench.errors import InputError
-from fracbench.harness.experiment import MAIN, Experiment
-from fracbench.harness.plan import Plan
-from fracbench.harness.store import Row
+from fracbench.harness.config.experiment import MAIN, Experiment
+from fracbench.harness.run.plan import Plan
+from fracbench.harness.run.store import Row
 from fracbench.report import tables
 from fracbench.report.base import Artefact, best_values, file_stem
 from fracbench.report.panels import Curve, Panel, panel_grid

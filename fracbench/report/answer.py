@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fracbench.errors import InputError
-from fracbench.harness.assets import asset
+from fracbench.harness.config.paths import asset
 from fracbench.report import style, tables
 from fracbench.report.base import FLAT
 from fracbench.report.drawing import draw

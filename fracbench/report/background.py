@@ -7,10 +7,10 @@ from collections.abc import Iterable, Sequence
 
 from fracbench.data.regions import Region
 from fracbench.evaluation.metrics import CONVENTIONS
-from fracbench.harness.assets import asset
-from fracbench.harness.config import group_options, load_config
-from fracbench.harness.point import canonical_value
-from fracbench.harness.store import Row
+from fracbench.harness.config.compose import group_options, load_config
+from fracbench.harness.config.paths import asset
+from fracbench.harness.run.point import canonical_value
+from fracbench.harness.run.store import Row
 from fracbench.model.params import FlowParams
 from fracbench.report.blocks import Block, Cell, Column, Details, Section, Table, Text, demoted
 from fracbench.report.sources import Source, Sources

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fracbench.harness.experiment import Experiment
-from fracbench.harness.plan import Plan
-from fracbench.harness.store import Row
+from fracbench.harness.config.experiment import Experiment
+from fracbench.harness.run.plan import Plan
+from fracbench.harness.run.store import Row
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fracbench.harness.assets import asset
+from fracbench.harness.config.paths import asset
 from fracbench.report import tables as report_tables
 from fracbench.report.base import FLAT
 from fracbench.report.judging import (

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fracbench.errors import InputError, unknown_name
-from fracbench.harness.assets import asset
+from fracbench.harness.config.paths import asset
 from fracbench.report import claim_rules, region_rules
 from fracbench.report.judging import RULES, UNKNOWN, VERDICTS, Tables, UnjudgeableError
 from fracbench.report.tables import write_text

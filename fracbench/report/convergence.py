@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fracbench.harness.experiment import Experiment
-from fracbench.harness.plan import Plan, make_plan
-from fracbench.harness.store import Row
+from fracbench.harness.config.experiment import Experiment
+from fracbench.harness.run.plan import Plan, make_plan
+from fracbench.harness.run.store import Row
 from fracbench.report import tables
 from fracbench.report.base import Artefact, file_stem
 from fracbench.report.options import all_options
@@ -52,7 +52,7 @@ _LEGEND = (
 def problems(region: str, alphas: list[float], plan: Plan) -> dict[float, Problem]:
     """Return the region's problem for each order, linearised at the flow of the recommended method."""
     from fracbench.harness.convergence import linearised_problem
-    from fracbench.harness.task import point_arrays
+    from fracbench.harness.run.compute_point import point_arrays
     from fracbench.methods.registry import get_method
     from fracbench.model.params import FlowParams
     from fracbench.model.pyramid import stretch

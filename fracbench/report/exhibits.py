@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from fracbench.errors import InputError
-from fracbench.harness.assets import asset
-from fracbench.harness.experiment import list_experiments
+from fracbench.harness.config.experiment import list_experiments
+from fracbench.harness.config.paths import asset
 from fracbench.report.blocks import (
     Block,
     Details,

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from fracbench.data.files import read_flow
 from fracbench.data.pair import list_sequences
 from fracbench.evaluation.metrics import endpoint_error, flow_errors
-from fracbench.harness.flows import flow_file, keep_flow
-from fracbench.harness.plan import Plan, make_plan
-from fracbench.harness.point import Point
-from fracbench.harness.task import point_arrays
+from fracbench.harness.run.compute_point import point_arrays
+from fracbench.harness.run.flows import flow_file, keep_flow
+from fracbench.harness.run.plan import Plan, make_plan
+from fracbench.harness.run.point import Point
 from fracbench.report.blocks import Gallery, Picture, embedded
 from fracbench.report.flowcolor import color_wheel, fastest, flow_to_color
 from fracbench.report.sources import RUNS, Sources

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from fracbench.harness.experiment import list_experiments
+from fracbench.harness.config.experiment import list_experiments
 from fracbench.report import background, claims, exhibits, pages
 from fracbench.report.beyond import beyond
 from fracbench.report.blocks import Section, render_page

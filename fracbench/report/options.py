@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from fracbench.errors import InputError
-from fracbench.harness.experiment import Experiment
-from fracbench.harness.schema import record
+from fracbench.harness.config.experiment import Experiment
+from fracbench.harness.config.records import record
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from fracbench.harness.assets import asset
+from fracbench.harness.config.paths import asset
 from fracbench.methods.registry import get_method
 from fracbench.report import tables
 from fracbench.report.blocks import Block, Cell, Column, Heading, Section, Table, Tallies, Tally, Text

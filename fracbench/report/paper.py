@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from fracbench.data.pair import load_sequence
 from fracbench.errors import InputError, unknown_name
-from fracbench.harness.config import SequenceConfig, load_config
-from fracbench.harness.experiment import Experiment
-from fracbench.harness.plan import Plan
-from fracbench.harness.point import canonical_value
-from fracbench.harness.store import Row
+from fracbench.harness.config.compose import SequenceConfig, load_config
+from fracbench.harness.config.experiment import Experiment
+from fracbench.harness.run.plan import Plan
+from fracbench.harness.run.point import canonical_value
+from fracbench.harness.run.store import Row
 from fracbench.model.params import FlowParams, ParamInfo, public_name
 from fracbench.report import tables
 from fracbench.report.base import Artefact, best_values, file_stem

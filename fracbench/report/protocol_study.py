@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fracbench.harness.assets import asset
-from fracbench.harness.experiment import Experiment
-from fracbench.harness.plan import Plan
-from fracbench.harness.store import Row
+from fracbench.harness.config.experiment import Experiment
+from fracbench.harness.config.paths import asset
+from fracbench.harness.run.plan import Plan
+from fracbench.harness.run.store import Row
 from fracbench.report import tables
 from fracbench.report.base import Artefact, file_stem
 

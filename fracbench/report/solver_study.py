@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fracbench.harness.experiment import Experiment, load_experiment
-from fracbench.harness.plan import Plan
-from fracbench.harness.store import Row
+from fracbench.harness.config.experiment import Experiment, load_experiment
+from fracbench.harness.run.plan import Plan
+from fracbench.harness.run.store import Row
 from fracbench.report import tables
 from fracbench.report.base import Artefact, file_stem
 from fracbench.report.options import all_options

@@ -8,9 +8,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fracbench.harness.experiment import Experiment, list_experiments, load_experiment
-from fracbench.harness.plan import Plan, plan_experiment
-from fracbench.harness.store import Row, Store
+from fracbench.harness.config.experiment import Experiment, list_experiments, load_experiment
+from fracbench.harness.run.plan import Plan, plan_experiment
+from fracbench.harness.run.store import Row, Store
 from fracbench.report.judging import CONTEXT
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ import numpy as np
 from fracbench.data.files import atomic_path
 from fracbench.errors import InputError
 from fracbench.evaluation.metrics import CONVENTIONS
-from fracbench.harness.plan import Plan
-from fracbench.harness.store import Row
+from fracbench.harness.run.plan import Plan
+from fracbench.harness.run.store import Row
 from fracbench.methods.registry import get_method
 from fracbench.model import SOLVER_VERSION
 

@@ -10,7 +10,7 @@ import pytest
 from fracbench.data.files import write_flow
 from fracbench.errors import FracbenchError
 from fracbench.evaluation.metrics import endpoint_error, flow_errors
-from fracbench.harness import flows, oracle
+from fracbench.harness import oracle
 from fracbench.harness.oracle import (
     SCOPES,
     best_orders,
@@ -20,8 +20,9 @@ from fracbench.harness.oracle import (
     load_oracle,
     oracle_file,
 )
-from fracbench.harness.plan import make_plan
-from fracbench.harness.task import point_arrays
+from fracbench.harness.run import flows
+from fracbench.harness.run.compute_point import point_arrays
+from fracbench.harness.run.plan import make_plan
 from fracbench.model.structure import CLASSES, structure_classes
 
 CHEAP = ["n_scales=1", "n_warps=1", "max_iter=2", "method=tvl1_sb_alpha"]

@@ -7,7 +7,7 @@ import json
 import pytest
 
 from fracbench.harness import scaling
-from fracbench.harness.plan import make_plan
+from fracbench.harness.run.plan import make_plan
 
 
 def test_the_workers_or_the_parent_set_the_pace():

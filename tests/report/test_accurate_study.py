@@ -10,8 +10,8 @@ import pandas as pd
 import pytest
 
 from fracbench.errors import InputError
-from fracbench.harness.experiment import load_experiment
-from fracbench.harness.plan import plan_experiment
+from fracbench.harness.config.experiment import load_experiment
+from fracbench.harness.run.plan import plan_experiment
 from fracbench.report import artefacts
 from fracbench.report.accurate_study import (
     ablation_sentences,

@@ -9,9 +9,9 @@ import pandas as pd
 import pytest
 
 from fracbench.errors import FracbenchError, InputError
-from fracbench.harness.experiment import load_experiment
+from fracbench.harness.config.experiment import load_experiment
 from fracbench.harness.oracle import SCOPES
-from fracbench.harness.plan import plan_experiment
+from fracbench.harness.run.plan import plan_experiment
 from fracbench.model.structure import CLASSES
 from fracbench.report import adaptive_alpha as artefact
 from fracbench.report.adaptive_figures import gain_panels, order_pictures, order_title

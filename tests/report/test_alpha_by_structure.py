@@ -12,9 +12,9 @@ import pytest
 
 from fracbench.data.datasets.synthetic.single_structure import LONE
 from fracbench.errors import InputError
-from fracbench.harness.experiment import load_experiment
-from fracbench.harness.grid import parse_overrides
-from fracbench.harness.plan import plan_experiment
+from fracbench.harness.config.experiment import load_experiment
+from fracbench.harness.config.grid import parse_overrides
+from fracbench.harness.run.plan import plan_experiment
 from fracbench.model.structure import CLASSES, structure_classes
 from fracbench.report.alpha_by_structure import alpha_by_structure
 from fracbench.report.structure_figures import class_overlay, structure_panels

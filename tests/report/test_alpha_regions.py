@@ -10,9 +10,9 @@ import pytest
 import yaml
 
 from fracbench.errors import InputError
-from fracbench.harness.assets import asset
-from fracbench.harness.experiment import Experiment, load_experiment
-from fracbench.harness.plan import plan_experiment
+from fracbench.harness.config.experiment import Experiment, load_experiment
+from fracbench.harness.config.paths import asset
+from fracbench.harness.run.plan import plan_experiment
 from fracbench.report import alpha_regions
 from fracbench.report.artefacts import render
 from fracbench.report.style import BEHIND, PALETTE

@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 
 from fracbench.errors import InputError
-from fracbench.harness.experiment import Experiment, load_experiment
-from fracbench.harness.plan import make_plan, plan_experiment
+from fracbench.harness.config.experiment import Experiment, load_experiment
+from fracbench.harness.run.plan import make_plan, plan_experiment
 from fracbench.report import artefacts, figures, style, tables
 from fracbench.report.artefacts import best_values, file_stem, render, require_renderer, split_varying
 from fracbench.report.tables import tidy

@@ -53,7 +53,7 @@ def frame(rows) -> pd.DataFrame:
 
 def table2(ratio=lambda sequence: 0.9, published=1.0):
     """TV-L1 as `published` times the printed numbers, TV-L1-SB as `ratio` times TV-L1."""
-    from fracbench.harness.assets import asset
+    from fracbench.harness.config.paths import asset
 
     printed = pd.read_csv(asset("results/published/table2.csv"))
     parts = []

@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from fracbench.harness.config.experiment import load_experiment
 from fracbench.harness.convergence import DEFAULT, LITERAL, SOLVERS, course, energy_at, linearised_problem, minimum
-from fracbench.harness.experiment import load_experiment
-from fracbench.harness.plan import plan_experiment
+from fracbench.harness.run.plan import plan_experiment
 from fracbench.model.params import FlowParams
 from fracbench.report.artefacts import render
 from fracbench.report.convergence import summarise

@@ -19,7 +19,7 @@ from PIL import Image
 
 from fracbench.data.files import write_flow
 from fracbench.errors import InputError
-from fracbench.harness.store import Row, Store
+from fracbench.harness.run.store import Row, Store
 from fracbench.report import background, claims, exhibits, gallery, html, pages
 from fracbench.report.blocks import (
     Cell,

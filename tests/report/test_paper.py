@@ -12,9 +12,9 @@ import pytest
 from fracbench.data.datasets import middlebury as middlebury_data
 from fracbench.data.datasets.synthetic.scenes import scene
 from fracbench.errors import InputError
-from fracbench.harness import plan as plan_module
-from fracbench.harness.experiment import Experiment, load_experiment
-from fracbench.harness.plan import plan_experiment
+from fracbench.harness.config.experiment import Experiment, load_experiment
+from fracbench.harness.run import plan as plan_module
+from fracbench.harness.run.plan import plan_experiment
 from fracbench.model.params import FlowParams
 from fracbench.report import figures, pictures
 from fracbench.report.artefacts import render

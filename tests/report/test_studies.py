@@ -11,9 +11,9 @@ import pandas as pd
 import pytest
 
 from fracbench.errors import InputError
-from fracbench.harness.assets import asset
-from fracbench.harness.experiment import load_experiment
-from fracbench.harness.plan import plan_experiment
+from fracbench.harness.config.experiment import load_experiment
+from fracbench.harness.config.paths import asset
+from fracbench.harness.run.plan import plan_experiment
 from fracbench.model.spectra import jacobi_limit
 from fracbench.report import artefacts
 from fracbench.report.protocol_study import protocol_study, switch_sentences, switch_table
@@ -113,7 +113,7 @@ def test_bars_and_dots_show_the_table(switches, published):
 
 
 def test_the_experiment_turns_each_switch_in_which_the_protocols_differ():
-    from fracbench.harness.config import load_config
+    from fracbench.harness.config.compose import load_config
 
     grids = load_experiment("protocol_study").grids
     params = {name: load_config({"protocol": name}).params.as_dict() for name in ("reference", "published")}

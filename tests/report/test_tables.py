@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from fracbench.errors import InputError
-from fracbench.harness.plan import make_plan
+from fracbench.harness.run.plan import make_plan
 from fracbench.report import tables
 from fracbench.report.tables import (
     CONVENTIONS,

@@ -1,0 +1,299 @@
+"""How far the stored numbers move where nothing has changed: the basis of the tolerances.
+
+A stored table is computed under circumstances that must not matter: more threads, double precision, BLAS
+kernels and compiled loops for other processors, a parameter moved by some units in its last place. Each is a
+process of its own, since kernels are chosen when the libraries are loaded. What another processor has stored is
+one more.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from fracbench.errors import FracbenchError, InputError
+from fracbench.harness.check.regression import (
+    Tabulate,
+    by_label,
+    history,
+    key_columns,
+    plan_of,
+    read_table,
+    reference_table,
+)
+from fracbench.harness.check.tolerances import MEASURED
+from fracbench.harness.config.paths import asset
+from fracbench.harness.run.plan import Plan
+from fracbench.harness.run.provenance import machine
+from fracbench.harness.run.store import Row
+from fracbench.model import SOLVER_VERSION
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Results = Mapping[str, Mapping[str, Any]]
+
+
+@dataclass(frozen=True)
+class Circumstance:
+    """Something about the computer or the arithmetic that a result must not depend on.
+
+    Attributes
+    ----------
+    name : str
+        Heading of its spreads.
+    environment : mapping of str to str
+        Variables that bring it about.
+    threads : int
+        Threads of the solver; BLAS has one.
+    dtype : str
+        Precision; empty for the points' own.
+    kernel : str
+        The OpenBLAS kernel that must be at work then; empty for any.
+    nudge : float
+        Relative change of theta.
+    """
+
+    name: str
+    environment: Mapping[str, str] = field(default_factory=dict)
+    threads: int = 1
+    dtype: str = ""
+    kernel: str = ""
+    nudge: float = 0.0
+
+
+#: What `fracbench check` itself computes under.
+USUAL = Circumstance("usual")
+CIRCUMSTANCES = (
+    Circumstance("two threads", threads=2),
+    Circumstance("float64", dtype="float64"),
+    *(
+        Circumstance(f"BLAS for {core}", {"OPENBLAS_CORETYPE": core}, kernel=core)
+        for core in ("Nehalem", "Haswell", "SkylakeX")
+    ),
+    Circumstance("loops for a generic processor", {"NUMBA_CPU_NAME": "generic"}),
+    # no other processor computes in quite this order: several draws of a rounding error everywhere
+    *(Circumstance(f"theta {nudge:+.0e}", nudge=nudge) for nudge in (-2e-6, -1e-6, 1e-6, 2e-6)),
+)
+
+
+def measure(
+    names: Sequence[str], *, jobs: int, tabulate: Tabulate, on_done: Callable[[Any], None] | None = None
+) -> dict[str, pd.DataFrame]:
+    """Measure the spread of stored tables.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Stored tables, whose data can be had.
+    jobs : int
+        Processes at a time.
+    tabulate : callable
+        Turns a plan and its rows into a tidy table.
+    on_done : callable, optional
+        Called with each finished pair of table and circumstance.
+
+    Returns
+    -------
+    dict of str to pandas.DataFrame
+        By table: see `fracbench.harness.check.tolerances.load_spreads`. A circumstance that this machine does not
+        offer is left out; what a processor of another name has stored, of the same rows, is one more.
+
+    Raises
+    ------
+    FracbenchError
+        A table cannot be computed under the usual circumstances.
+    """
+    plans = {name: require_plan(name) for name in names}
+    pairs = [(name, circumstance) for name in names for circumstance in (USUAL, *CIRCUMSTANCES)]
+
+    def work(pair: tuple[str, Circumstance]) -> dict[str, dict[str, str]] | None:
+        results = _in_a_process(*pair)
+        if on_done is not None:
+            on_done(pair)
+        return None if results is None else _labelled(plans[pair[0]], results, tabulate)
+
+    with ThreadPoolExecutor(jobs) as pool:
+        done = list(zip(pairs, pool.map(work, pairs), strict=True))
+    return {
+        name: spreads(
+            {one.name: table for (which, one), table in done if which == name and table is not None},
+            stored_elsewhere(name),
+        )
+        for name in names
+    }
+
+
+def stored_elsewhere(name: str) -> dict[str, dict[str, dict[str, str]]]:
+    """Return a stored table, under the name of its circumstance, if another processor has computed it."""
+    entries = history(name)
+    if not entries or entries[-1]["solver_version"] != SOLVER_VERSION or entries[-1]["cpu"] == machine()["cpu"]:
+        return {}
+    table = read_table(asset("results/reference") / f"{name}.csv")
+    return {f"as stored from {entries[-1]['cpu']}": by_label(table, key_columns(table))}
+
+
+def spreads(
+    tables: Mapping[str, Mapping[str, Mapping[str, str]]],
+    elsewhere: Mapping[str, Mapping[str, Mapping[str, str]]] | None = None,
+) -> pd.DataFrame:
+    """Compare a table under each circumstance with the table under the usual ones.
+
+    Parameters
+    ----------
+    tables : mapping
+        By circumstance, then by row: the cells by column, as text.
+    elsewhere : mapping, optional
+        The same of what other processors have stored; left out where it has other rows.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Columns ``row``, ``column``, and the relative difference under each circumstance; infinite where a cell
+        is not finite or missing.
+
+    Raises
+    ------
+    FracbenchError
+        There is no table under the usual circumstances.
+    """
+    import pandas as pd
+
+    if USUAL.name not in tables:
+        raise FracbenchError("a table cannot be computed even under the usual circumstances; try fracbench check")
+    usual, records = tables[USUAL.name], []
+    tables = {**tables, **{name: rows for name, rows in (elsewhere or {}).items() if rows.keys() == usual.keys()}}
+    for row, cells in usual.items():
+        for column in MEASURED:
+            others = {name: rows.get(row, {}) for name, rows in tables.items() if name != USUAL.name}
+            found = {name: _relative(cells[column], other.get(column, "")) for name, other in others.items()}
+            records.append({"row": row, "column": column, **found})
+    return pd.DataFrame(records)
+
+
+def _relative(usual: str, other: str) -> float:
+    try:
+        reference, difference = float(usual), abs(float(other) - float(usual))
+    except ValueError:
+        return math.inf
+    if difference == 0.0:
+        return 0.0
+    relative = difference / abs(reference) if math.isfinite(difference) and reference else math.inf
+    return float(f"{relative:.3g}")  # as it is written, so that what follows from it does
+
+
+def summary(name: str, table: pd.DataFrame) -> list[dict[str, str]]:
+    """Return for each circumstance the largest spread of each column, for reading."""
+    worst = table.drop(columns="row").groupby("column", sort=False).max()
+    return [
+        {"table": name, "under": under, **{column: f"{worst.loc[column, under]:.1e}" for column in MEASURED}}
+        for under in worst.columns
+    ]
+
+
+def require_plan(name: str) -> Plan:
+    """Return the plan behind a stored table; refuse where its data cannot be had."""
+    plan = plan_of(name)
+    if plan is None:
+        raise InputError(f"{name}: the Middlebury data cannot be had here; name the tables to be measured")
+    return plan
+
+
+def _labelled(plan: Plan, results: Results, tabulate: Tabulate) -> dict[str, dict[str, str]]:
+    """Return the cells of a table under the labels that `fracbench check` gives its rows."""
+    rows = {
+        key: Row(
+            key=key,
+            identity=point.identity,
+            spec=point.spec,
+            solver_version=SOLVER_VERSION,
+            status="done",
+            result=results[key],
+        )
+        for key, point in plan.unique().items()
+    }
+    table = reference_table(plan, rows, tabulate)
+    return by_label(table, key_columns(table))
+
+
+def _in_a_process(name: str, circumstance: Circumstance) -> Results | None:
+    """Return the results of a table's points by key, or None where the circumstance cannot be had."""
+    limits = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    command = [
+        sys.executable,
+        "-m",
+        "fracbench.harness.check.spread",
+        name,
+        str(circumstance.threads),
+        circumstance.dtype,
+        str(circumstance.nudge),
+    ]
+    environment = {**os.environ, **limits, **circumstance.environment}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    if done.returncode != 0:  # kernels for a processor that this one is not end the process
+        return None
+    answer: dict[str, Any] = json.loads(done.stdout)
+    if circumstance.kernel and circumstance.kernel not in answer["kernels"]:
+        return None
+    results: Results = answer["results"]
+    return results
+
+
+def results_of(plan: Plan, threads: int, dtype: str, nudge: float = 0.0) -> dict[str, dict[str, Any]]:
+    """Compute the points of a plan in this process.
+
+    Parameters
+    ----------
+    plan : Plan
+        The points.
+    threads : int
+        Threads of the solver; BLAS has one.
+    dtype : str
+        Precision; empty for the points' own.
+    nudge : float, optional
+        Relative change of theta.
+
+    Returns
+    -------
+    dict of str to dict
+        Errors and counts by key.
+    """
+    import dataclasses
+
+    from threadpoolctl import threadpool_limits
+
+    from fracbench.evaluation.metrics import flow_errors
+    from fracbench.harness.run.compute_point import point_arrays
+    from fracbench.methods.registry import get_method
+    from fracbench.model.kernels.threads import use_threads
+    from fracbench.model.params import FlowParams
+
+    found = {}
+    with use_threads(threads), threadpool_limits(1):  # as `estimate_flow` does
+        for key, point in plan.unique().items():
+            frame0, frame1, truth, inner = point_arrays(point, plan.folder)
+            params = FlowParams().replace(point.params).replace({"dtype": dtype} if dtype else {})
+            params = params.replace({"theta": params.theta * (1.0 + nudge)})
+            flow = get_method(point.method).estimate(frame0, frame1, params).flow
+            errors = flow_errors(flow[(slice(None), *inner)], truth[(slice(None), *inner)])
+            found[key] = dataclasses.asdict(errors)
+    return found
+
+
+def _answer(name: str, threads: str, dtype: str, nudge: str) -> None:
+    """Print the results of a stored table under the circumstances of this process."""
+    from threadpoolctl import threadpool_info
+
+    results = results_of(require_plan(name), int(threads), dtype, float(nudge))
+    print(json.dumps({"kernels": [pool.get("architecture") for pool in threadpool_info()], "results": results}))
+
+
+if __name__ == "__main__":
+    _answer(*sys.argv[1:])

@@ -1,0 +1,380 @@
+"""Typed configuration: Hydra composes the groups under ``conf/``, the records here check them.
+
+Hydra is asked for one composition per choice of groups; the values of a grid are applied to the typed
+record in plain Python, because composing costs tens of milliseconds and a grid may have thousands of points.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from fracbench.data.pair import shape_of
+from fracbench.data.regions import Region, require_inside
+from fracbench.errors import InputError, unknown_name
+from fracbench.harness.config.composed import remembered
+from fracbench.harness.config.paths import asset
+from fracbench.harness.config.records import mapping, record, refuse_code, require_name
+from fracbench.methods.registry import Method, get_method
+from fracbench.model.params import FlowParams
+
+GROUPS = ("method", "sequence", "region", "protocol", "parallel")
+BACKENDS = ("loky", "dask")
+DATASETS = ("auto", "middlebury", "synthetic")
+PARALLEL = ("parallel.jobs", "parallel.timeout", "parallel.address")
+#: Keys of the command line that are neither groups nor parameters.
+SETTINGS = (
+    "dataset", "context", "shift", "score", "margin", "noise", "seed", "paths.data", "paths.results", *PARALLEL,
+)  # fmt: skip
+_WHOLE = ("context", "shift", "margin", "seed")
+SCORES = ("frame", "structure")
+N_SHIFTS = 25
+
+_ADDRESS = re.compile(r"(tcp|tls|ucx|wss?)://[^\s/]+:\d{1,5}")
+
+
+@dataclass(frozen=True)
+class SequenceConfig:
+    """A sequence: its configuration's name, the data's name, and the scene that may stand in for it."""
+
+    key: str
+    name: str
+    dataset: str
+    stand_in: str | None = None
+
+
+@dataclass(frozen=True)
+class ParallelConfig:
+    """How points are spread over processes.
+
+    Attributes
+    ----------
+    backend : {"loky", "dask"}
+        Processes of joblib on this machine, or the workers of a Dask cluster.
+    jobs : int
+        Processes on this machine.
+    timeout : float or None
+        Seconds that the estimate of a point may take.
+    address : str or None
+        Of the Dask scheduler.
+    """
+
+    backend: str = "loky"
+    jobs: int = 2
+    timeout: float | None = None
+    address: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.backend not in BACKENDS:
+            raise unknown_name("parallel backend", self.backend, BACKENDS)
+        if self.jobs < 1:
+            raise InputError(f"parallel.jobs must be at least 1, got {self.jobs}")
+        if self.timeout is not None and not 0.0 < self.timeout < math.inf:
+            raise InputError(f"parallel.timeout must be a number of seconds above 0, got {self.timeout:g}")
+        if self.address is None:
+            return
+        if not _ADDRESS.fullmatch(self.address):
+            whole = f"tcp://{self.address}"
+            hint = f": did you mean {whole}?" if _ADDRESS.fullmatch(whole) else ""
+            raise InputError(f"parallel.address must be like tcp://HOST:8786, got {self.address!r}{hint}")
+        if self.backend != "dask":
+            raise InputError(f"parallel.address={self.address} needs parallel=dask")
+
+    def override(self, key: str, value: str) -> ParallelConfig:
+        """Return a copy with one of `PARALLEL` changed."""
+        given: Any = None if value == "null" else value
+        if key == "parallel.jobs":
+            given = _whole(key, value)
+        elif key == "parallel.timeout" and given is not None:
+            given = _number(key, value, "a number of seconds")
+        return dataclasses.replace(self, **{key.removeprefix("parallel."): given})
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """Everything that one choice of groups and settings determines.
+
+    Raises
+    ------
+    InputError
+        A value that is not allowed.
+    """
+
+    method: Method
+    protocol: str
+    sequence: SequenceConfig
+    region: Region | None
+    params: FlowParams
+    parallel: ParallelConfig
+    dataset: str = "auto"
+    context: int = 0
+    shift: int | None = None
+    score: str = "frame"
+    margin: int | None = None
+    noise: float | None = None
+    seed: int | None = None
+    data: str | None = None
+    results: Path = Path("results")
+
+    def __post_init__(self) -> None:
+        if self.dataset not in DATASETS:
+            raise unknown_name("dataset", self.dataset, DATASETS)
+        if self.context < 0:
+            raise InputError(f"context must be at least 0 pixels, got {self.context}")
+        if self.shift is not None and not 0 <= self.shift < N_SHIFTS:
+            raise InputError(f"shift must be in 0..{N_SHIFTS - 1}, got {self.shift}")
+        if self.region is None and (self.context > 0 or self.shift is not None):
+            given = f"context={self.context}" if self.context else f"shift={self.shift}"
+            raise InputError(f"{given} needs a region: without one the whole frame is used")
+        if self.score not in SCORES:
+            raise unknown_name("score", self.score, SCORES)
+        self._check_scene()
+
+    def _check_scene(self) -> None:
+        """Refuse what only whole frames, or only rendered scenes, can have."""
+        for name, value in (("margin", self.margin), ("noise", self.noise), ("seed", self.seed)):
+            if value is not None and not 0 <= value < math.inf:
+                raise InputError(f"{name} must be finite and at least 0, got {value:g}")
+            if value is not None and name != "margin" and self.sequence.dataset != "synthetic":
+                raise InputError(f"{name}={value:g} needs a rendered scene, sequence={self.sequence.key} is none")
+        if self.margin is None:
+            return
+        if self.region is not None:
+            raise InputError(f"margin={self.margin} is of whole frames; a region takes context")
+        if 2 * self.margin >= (side := min(shape_of(self.sequence.name, self.sequence.dataset))):
+            raise InputError(f"margin={self.margin} leaves nothing of a side of {side} pixels")
+
+    def override(self, values: Mapping[str, str]) -> RunConfig:
+        """Return a copy with parameters and settings changed.
+
+        Parameters
+        ----------
+        values : mapping of str to str
+            By command-line key; groups are not among them.
+
+        Returns
+        -------
+        RunConfig
+            A new record.
+
+        Raises
+        ------
+        InputError
+            An unknown key or a value that is not allowed.
+        """
+        changes: dict[str, Any] = {}
+        params = {}
+        for key, value in values.items():
+            if key not in SETTINGS:
+                params[key.removeprefix("params.")] = value
+            elif key in PARALLEL:
+                changes["parallel"] = changes.get("parallel", self.parallel).override(key, value)
+            elif key in _WHOLE:
+                changes[key] = None if key != "context" and value == "null" else _whole(key, value)
+            elif key == "noise":
+                changes[key] = None if value == "null" else _number(key, value)
+            else:
+                changes[key.rpartition(".")[2]] = Path(value) if key == "paths.results" else value
+        return dataclasses.replace(self, params=self.params.replace(params), **changes)
+
+
+def _whole(key: str, value: Any) -> int:
+    try:
+        return int(str(value))
+    except ValueError:
+        raise InputError(f"`{key}` must be a whole number, got {value!r}") from None
+
+
+def _number(key: str, value: Any, what: str = "a number") -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise InputError(f"`{key}` must be {what}, got {value!r}") from None
+
+
+def group_options(group: str) -> list[str]:
+    """Return the names there are in a configuration group.
+
+    Parameters
+    ----------
+    group : str
+        One of `GROUPS`.
+
+    Returns
+    -------
+    list of str
+        Sorted; regions without ``none``.
+    """
+    names = sorted(path.stem for path in asset(f"conf/{group}").glob("*.yaml"))
+    return [name for name in names if name != "none"]
+
+
+def protocol_settings(name: str) -> tuple[str | None, dict[str, Any]]:
+    """Return what a protocol sets itself, without the parameters of any sequence.
+
+    Parameters
+    ----------
+    name : str
+        A file of ``conf/protocol``.
+
+    Returns
+    -------
+    method : str or None
+        The method that it brings.
+    params : dict
+        Parameters of `FlowParams`.
+
+    Raises
+    ------
+    InputError
+        An unknown name, or a file that is no protocol.
+    """
+    from omegaconf import OmegaConf
+
+    load_config({"protocol": name})  # what is wrong in the file is said here
+    raw: Any = OmegaConf.to_container(OmegaConf.load(asset(f"conf/protocol/{name}.yaml")))
+    return raw.get("method"), dict(raw.get("params") or {})
+
+
+def known_keys() -> list[str]:
+    """Return every key that an override may name."""
+    return [*GROUPS, *SETTINGS, *FlowParams.names()]
+
+
+def load_config(choices: Mapping[str, str]) -> RunConfig:
+    """Compose and check the configuration for a choice of groups.
+
+    Parameters
+    ----------
+    choices : mapping
+        Group -> name; groups left out take the default of ``conf/config.yaml``.
+
+    Returns
+    -------
+    RunConfig
+        Typed and validated.
+
+    Raises
+    ------
+    InputError
+        An unknown name (the nearest is offered), an unknown key or a wrong value in a file.
+    """
+    for group, name in choices.items():
+        if name not in (options := group_options(group)) and not (group == "region" and name == "none"):
+            raise unknown_name(group, name, options)
+    return _typed(_compose(tuple(sorted(choices.items()))), choices)
+
+
+@lru_cache(maxsize=256)
+def _compose(choices: tuple[tuple[str, str], ...]) -> dict[str, Any]:
+    names = dict(choices)
+    region = names.pop("region", "none")
+    sequence = names.pop("sequence", None)
+    overrides = [f"{group}={name}" for group, name in names.items()]
+    if region != "none":
+        overrides.append(f"region={region}")  # the region's file chooses its sequence
+    elif sequence is not None:
+        overrides.append(f"sequence={sequence}")
+    folder = asset("conf").resolve()
+    return mapping(remembered(folder, choices, lambda: _by_hydra(folder, overrides)), f"configuration {folder}")
+
+
+def _by_hydra(folder: Path, overrides: list[str]) -> Any:
+    from hydra import compose, initialize_config_dir
+    from omegaconf import OmegaConf
+
+    refuse_code(folder)
+    try:
+        with initialize_config_dir(str(folder), version_base="1.3"):
+            composed = compose("config", overrides=overrides)
+        return OmegaConf.to_container(composed, resolve=True)
+    except Exception as exc:  # Hydra lets nearly any exception through on a file it does not expect
+        raise InputError(f"configuration {folder}: {' '.join(str(exc).split())}") from exc
+
+
+def _default_sequence() -> str:
+    from omegaconf import OmegaConf
+
+    defaults: Any = OmegaConf.load(asset("conf/config.yaml"))
+    return next(str(entry["sequence"]) for entry in defaults["defaults"] if "sequence" in entry)
+
+
+_TOP_LEVEL = (
+    "method", "protocol", "sequence", "region", "parallel", "dataset", "context", "shift", "score", "margin",
+    "noise", "seed", "paths", "params",
+)  # fmt: skip
+
+
+def _typed(raw: Mapping[str, Any], choices: Mapping[str, str]) -> RunConfig:
+    chosen = ", ".join(f"{group}={name}" for group, name in choices.items())
+    where = f"configuration ({chosen})" if chosen else "configuration"
+    raw = mapping(raw, where, _TOP_LEVEL)
+    for key in _TOP_LEVEL:
+        if key not in raw:
+            raise InputError(f"{where}: `{key}` is missing; conf/config.yaml or a file of a group sets it")
+    paths = record(_Paths, raw["paths"], f"{where}, paths")
+    method = get_method(_method_name(raw["method"], choices, where))
+    params = FlowParams().replace(method.defaults)
+    region = None if raw["region"] is None else record(Region, raw["region"], f"{where}, region")
+    return RunConfig(
+        method=method,
+        protocol=require_name(raw["protocol"], "`protocol`", where),
+        sequence=_sequence(raw["sequence"], region, choices, where),
+        region=region,
+        params=params.replace(mapping(raw["params"], f"{where}, params"), f"{where}, params"),
+        parallel=record(ParallelConfig, raw["parallel"], f"{where}, parallel"),
+        dataset=require_name(raw["dataset"], "`dataset`", where),
+        context=_whole("context", raw["context"]),
+        score=require_name(raw["score"], "`score`", where),
+        noise=None if raw["noise"] is None else _number("noise", raw["noise"]),
+        **{key: None if raw[key] is None else _whole(key, raw[key]) for key in ("shift", "margin", "seed")},
+        data=paths.data,
+        results=Path(paths.results),
+    )
+
+
+def _method_name(raw: Any, choices: Mapping[str, str], where: str) -> str:
+    """Return the method: a protocol may bring one with it, but one that is asked for wins."""
+    if "method" in choices and choices.keys() > {"method"}:
+        raw = _compose((("method", choices["method"]),))["method"]
+    return require_name(raw, "`method`", where)
+
+
+@dataclass(frozen=True)
+class _Paths:
+    results: str
+    data: str | None = None
+
+    def __post_init__(self) -> None:
+        for name, path in vars(self).items():
+            if path is not None and (not path or not path.isprintable()):
+                raise InputError(f"paths.{name} must name a folder, got {path!r}")
+
+
+def _sequence(raw: Any, region: Region | None, choices: Mapping[str, str], where: str) -> SequenceConfig:
+    """Return the sequence, and make sure that the region is one of it and lies inside its picture."""
+    key = region.sequence if region else choices.get("sequence") or _default_sequence()
+    sequence = record(SequenceConfig, {"key": key, **mapping(raw, f"{where}, sequence")}, f"{where}, sequence")
+    for what, name in vars(sequence).items():
+        if name is not None:
+            require_name(name, f"`{what}`", f"{where}, sequence")
+    shape = shape_of(sequence.name, sequence.dataset)
+    if sequence.stand_in is not None:
+        shape_of(sequence.stand_in, "synthetic")
+    if region is None:
+        return sequence
+    require_name(region.name, "`name`", f"{where}, region")
+    if "sequence" in choices and choices["sequence"] != key:
+        raise InputError(f"region={choices['region']} belongs to sequence={key}, not to {choices['sequence']}")
+    if key not in (options := group_options("sequence")):
+        raise unknown_name("sequence", key, options, f"{where}, region")
+    if _compose((("sequence", key),))["sequence"] != raw:
+        raise InputError(f"{where}: the region is of {key!r}, but its defaults choose {sequence.name!r}")
+    require_inside(region, shape)
+    return sequence

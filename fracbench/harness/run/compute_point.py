@@ -1,0 +1,199 @@
+"""One point, computed in a worker process."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from fracbench.data.pair import Sequence, load_sequence
+from fracbench.data.regions import Crop, Region, crop
+from fracbench.errors import FracbenchError, InputError
+from fracbench.evaluation.metrics import flow_errors
+from fracbench.harness.run import provenance
+from fracbench.harness.run.memory import peak_mib, reset_peak
+from fracbench.harness.run.message import Outcome
+from fracbench.harness.run.point import Point
+from fracbench.methods.paper import energy_growth
+from fracbench.methods.registry import get_method
+from fracbench.model.params import FlowParams
+from fracbench.model.structure import errors_by_class, structure_classes
+
+#: A flow has diverged if its regularity is so many times the energy of no flow at all. For a minimiser the ratio
+#: is below 1; it has been seen near 40 where the data term has next to no weight (lambda = 1e-5).
+GROWN = 100.0
+
+_DEFAULTS = FlowParams()
+
+Guard = Callable[[], AbstractContextManager[Any]]
+
+
+def run_point(point: Point, folder: Path | None, guard: Guard = nullcontext) -> Outcome:
+    """Compute a point; whatever goes wrong becomes its outcome.
+
+    Parameters
+    ----------
+    point : Point
+        What to compute.
+    folder : Path or None
+        Where the Middlebury data are.
+    guard : callable, optional
+        Gives the context in which the estimate runs, after all preparations.
+
+    Returns
+    -------
+    Outcome
+        Never raises, but for what ends the process.
+    """
+    machine = provenance.machine()
+    try:
+        return _compute(point, folder, machine, guard)
+    except FracbenchError as exc:
+        return Outcome("failed", str(exc), {}, None, None, machine)
+    except Exception as exc:
+        place = traceback.extract_tb(exc.__traceback__)[-1]
+        message = f"{type(exc).__name__}: {exc} ({Path(place.filename).name}:{place.lineno})"
+        return Outcome("failed", " ".join(message.split()), {}, None, None, machine)
+
+
+def _compute(point: Point, folder: Path | None, machine: dict[str, Any], guard: Guard) -> Outcome:
+    frame0, frame1, truth, inner = point_arrays(point, folder)
+    if truth is None:
+        raise InputError(f"sequence {point.sequence}: has no true flow to compare with")
+    method = get_method(point.method)
+    params = _DEFAULTS.replace(point.params)
+    _warm_up(point.method, params)
+    reset_peak()
+    started = time.perf_counter()
+    with guard():
+        flow_result = method.estimate(frame0, frame1, params)
+    seconds = time.perf_counter() - started
+    scored = flow_result.flow[(slice(None), *inner)], truth[(slice(None), *inner)]
+    errors = flow_errors(*scored)
+    result: dict[str, Any] = {
+        "aae": errors.aae,
+        "aepe": errors.aepe,
+        "sdae": errors.sdae,
+        "n_pixels": errors.n_pixels,
+        "n_unknown": errors.n_unknown,
+        "n_nonfinite": errors.n_nonfinite,
+        "iterations": flow_result.iterations,
+        "inner_iterations": [level.inner_iterations for level in flow_result.levels],
+        "stop": flow_result.stop_reason,
+        "phases": flow_result.seconds,
+        "notices": flow_result.notices,
+    }
+    if point.score == "structure":
+        classes = structure_classes(_sequence_of(point, folder).frame0)
+        by_class = errors_by_class(*scored, classes if point.box is None else classes[_inside(point.box)])
+        result["classes"] = {name: vars(found) for name, found in by_class.items()}
+    peak = peak_mib()
+    error = _divergence(point.method, frame0, frame1, flow_result.flow, params, result["stop"], errors.n_nonfinite)
+    return Outcome("done" if error is None else "diverged", error, result, seconds, peak, machine)
+
+
+def _divergence(
+    name: str, frame0: Any, frame1: Any, flow: Any, params: FlowParams, stop: str, n_bad: int
+) -> str | None:
+    if stop == "diverged":
+        return f"diverged: {n_bad} pixels of the flow are not finite"
+    growth = energy_growth(name, frame0, frame1, flow, params, enough=GROWN)
+    if growth is not None and not growth <= GROWN:  # NaN counts as grown
+        return f"diverged: the energy of the flow is at least {growth:.3g} times that of no flow"
+    return None
+
+
+@lru_cache(maxsize=8)
+def _sequence(name: str, dataset: str, folder: Path | None, noise: float, seed: int) -> Sequence:
+    return load_sequence(name, dataset, folder, noise=noise, seed=seed)
+
+
+_held: dict[str, Sequence] = {}
+_crops: dict[Any, Crop] = {}
+
+
+def hold(sequence: Sequence) -> None:
+    """Keep a sequence for the points of this process, which may have no data folder."""
+    _held[sequence.digest] = sequence
+
+
+def holds(digest: str) -> bool:
+    """Tell whether a sequence is kept."""
+    return digest in _held
+
+
+def point_arrays(point: Point, folder: Path | None) -> tuple[Any, Any, Any, tuple[slice, slice]]:
+    """Return the frames and the true flow that a point computes on.
+
+    Parameters
+    ----------
+    point : Point
+        The point.
+    folder : Path or None
+        Where the Middlebury data are.
+
+    Returns
+    -------
+    frame0, frame1 : ndarray, shape (h, w)
+        The frames, cut to the box with its context.
+    truth : ndarray, shape (2, h, w), or None
+        The true flow there.
+    inner : tuple of slice
+        The box within them.
+
+    Raises
+    ------
+    InputError
+        The data are not what the point was planned for.
+    """
+    sequence = _sequence_of(point, folder)
+    if point.box is None:
+        return sequence.frame0, sequence.frame1, sequence.truth, (slice(None), slice(None))
+    key = sequence.digest, point.box, point.context
+    if key not in _crops:
+        row0, row1, col0, col1 = point.box
+        region = Region("box", sequence.name, (row0, row1), (col0, col1))
+        cut = crop(sequence, region, point.context)
+        _crops.clear()  # the points of a sweep come box by box
+        _crops[key] = cut
+    return _crops[key]
+
+
+def _sequence_of(point: Point, folder: Path | None) -> Sequence:
+    sequence = _held.get(point.data_digest)
+    if sequence is None:
+        sequence = _sequence(point.sequence, point.dataset, folder, float(point.noise), point.seed)
+    if sequence.digest != point.data_digest:
+        raise InputError(f"sequence {point.sequence}: the data changed while the sweep was running")
+    return sequence
+
+
+def _inside(box: tuple[int, int, int, int]) -> tuple[slice, slice]:
+    row0, row1, col0, col1 = box
+    return slice(row0, row1), slice(col0, col1)
+
+
+_warmed: set[tuple[str | bool, ...]] = set()
+
+
+def _warm_up(name: str, params: FlowParams) -> None:
+    """Compile, or load from numba's cache, all that a method calls, outside every timing.
+
+    From then on the process computes on one thread: tables must not depend on the number of jobs.
+    """
+    # What is called follows from the words among the parameters, and from the numbers that are 0: off.
+    switches = [value if isinstance(value, str) else bool(value) for value in params.as_dict().values()]
+    variant = (name, *switches)
+    if variant not in _warmed:
+        tiny = np.random.default_rng(0).uniform(0.0, 255.0, (2, 32, 32))
+        small = params.replace({"n_scales": 2, "n_warps": 1, "max_iter": 2, "max_inner": 2})
+        get_method(name).estimate(tiny[0], tiny[1], small)
+        threadpool_limits(1)  # of all libraries that are loaded by now
+        _warmed.add(variant)

@@ -1,0 +1,56 @@
+"""How long a plan will take, from what the store remembers of its like."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from statistics import median
+from typing import Any
+
+from fracbench.data.datasets.middlebury import SIZES
+from fracbench.harness.run.point import Point
+from fracbench.harness.run.store import Row
+
+#: Used until the store holds a point of the method: seconds a pixel, one thread.
+ROUGH_SECONDS_PER_PIXEL = 1e-5
+_SCENE_PIXELS = 128 * 160
+
+
+def expected_seconds(points: Iterable[Point], rows: Iterable[Row], jobs: int) -> tuple[float, bool]:
+    """Estimate the time to compute points.
+
+    Parameters
+    ----------
+    points : iterable of Point
+        What is to be computed.
+    rows : iterable of Row
+        What was computed before.
+    jobs : int
+        Worker processes.
+
+    Returns
+    -------
+    seconds : float
+        Expected wall-clock time.
+    measured : bool
+        Whether every method's speed is known from the store; else a rough constant stands in.
+    """
+    speeds: dict[str, list[float]] = {}
+    for row in rows:
+        if row.status == "done" and row.seconds:
+            speeds.setdefault(row.spec["method"], []).append(row.seconds / pixels(row.spec))
+    seconds, measured = [], True
+    for point in points:
+        known = speeds.get(point.method)
+        measured = measured and bool(known)
+        seconds.append(pixels(point.spec) * (median(known) if known else ROUGH_SECONDS_PER_PIXEL))
+    # No number of processes makes the longest point shorter.
+    return max(sum(seconds) / jobs, max(seconds, default=0.0)), measured
+
+
+def pixels(spec: Any) -> int:
+    """Return the number of pixels that a point computes on, from its canonical form."""
+    if spec["box"] is not None:
+        row0, row1, col0, col1 = spec["box"]
+        return int((row1 - row0 + 2 * spec["context"]) * (col1 - col0 + 2 * spec["context"]))
+    height, width = SIZES.get(spec["sequence"], (1, _SCENE_PIXELS))
+    return height * width

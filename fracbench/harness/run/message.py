@@ -1,0 +1,91 @@
+"""What the parent and a worker say to each other: a job there, an outcome or a row back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fracbench.harness.run.point import Point
+from fracbench.harness.run.store import Row
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a point ended.
+
+    Attributes
+    ----------
+    status : str
+        ``done``, ``failed`` or ``diverged``; whoever ends the process adds ``timeout`` and ``crashed``.
+    error : str or None
+        What went wrong.
+    result : dict
+        Errors, iterations, stop reason, seconds by phase, notices.
+    seconds : float or None
+        Of the estimate alone.
+    peak_mib : float or None
+        Largest resident memory of the process while the point ran.
+    machine : dict
+        Where it ran.
+    """
+
+    status: str
+    error: str | None
+    result: dict[str, Any]
+    seconds: float | None
+    peak_mib: float | None
+    machine: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Job:
+    """A point on its way to a worker.
+
+    Attributes
+    ----------
+    key : str
+        The point's key, as the parent has it.
+    point : Point
+        What to compute.
+    attempt : int
+        How often it will have been started.
+    solver_version : int
+        The parent's.
+    commit : mapping
+        From `provenance.commit`.
+    folder : Path or None
+        Where the Middlebury data are.
+    timeout : float or None
+        Seconds that the estimate may take.
+    """
+
+    key: str
+    point: Point
+    attempt: int
+    solver_version: int
+    commit: Mapping[str, Any]
+    folder: Path | None = None
+    timeout: float | None = None
+
+    def expired(self, machine: dict[str, Any]) -> Row:
+        """Return the row that says that the time is over."""
+        message = f"not finished within the {self.timeout:g} s allowed"
+        return self.row(Outcome("timeout", message, {}, None, None, machine))
+
+    def row(self, outcome: Outcome) -> Row:
+        """Return the row for the store."""
+        return Row(
+            key=self.key,
+            identity=self.point.identity,
+            spec=self.point.spec,
+            solver_version=self.solver_version,
+            status=outcome.status,
+            error=outcome.error,
+            result=outcome.result,
+            seconds=outcome.seconds,
+            peak_mib=outcome.peak_mib,
+            provenance={**outcome.machine, "threads": 1, **self.commit, "data": self.point.data_digest},
+            attempts=self.attempt,
+        )

@@ -1,0 +1,311 @@
+"""From overrides to points: what is to be computed, and how it is labelled."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from fracbench.data.pair import list_sequences, shape_of
+from fracbench.data.regions import Region, shifted
+from fracbench.errors import InputError, unknown_name
+from fracbench.harness.config.compose import GROUPS, PARALLEL, RunConfig, group_options, known_keys, load_config
+from fracbench.harness.config.grid import Axis, Grid, expand_names, parse_overrides
+from fracbench.harness.config.numbers import MAX_POINTS
+from fracbench.harness.run.point import Point, canonical_value
+
+#: Keys that cannot be swept.
+_FOR_ALL = ("dataset", "paths.data", "paths.results", "parallel", *PARALLEL)
+
+
+@dataclass(frozen=True)
+class PlannedPoint:
+    """A point and the names it goes by in tables: protocol and region are labels, not part of the key."""
+
+    point: Point
+    labels: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Points in the order of the grid.
+
+    Attributes
+    ----------
+    points : tuple of PlannedPoint
+        Distinct labels may share a point; it is computed once.
+    varying : tuple of str
+        Keys that take more than one value.
+    dataset : str
+        ``"middlebury"`` or ``"synthetic"``.
+    folder : Path or None
+        Where the Middlebury data are.
+    notices : tuple of str
+        What the user should be told.
+    config : RunConfig
+        Configuration of the first point, for settings that hold for all.
+    stand_in : bool
+        Whether synthetic scenes take the place of Middlebury sequences that were asked for.
+    small : bool
+        Whether the grid was thinned.
+    """
+
+    points: tuple[PlannedPoint, ...]
+    varying: tuple[str, ...]
+    dataset: str
+    folder: Path | None
+    config: RunConfig
+    notices: tuple[str, ...] = field(default=())
+    stand_in: bool = False
+    small: bool = False
+
+    def unique(self) -> dict[str, Point]:
+        """Return the distinct points by key, in order."""
+        return {planned.point.key: planned.point for planned in self.points}
+
+
+def make_plan(tokens: Sequence[str], *, allow_download: bool = True, small: bool = False) -> Plan:
+    """Expand overrides to points.
+
+    Parameters
+    ----------
+    tokens : sequence of str
+        Overrides in the grammar of `fracbench.harness.config.grid`.
+    allow_download : bool, optional
+        Whether missing Middlebury data may be downloaded.
+    small : bool, optional
+        Thin the grid: see `Grid.thinned`.
+
+    Returns
+    -------
+    Plan
+        The points.
+
+    Raises
+    ------
+    InputError
+        Malformed overrides, unknown names, values out of range, data or peers that cannot be had.
+    """
+    grid = _expand_globs(parse_overrides(tokens))
+    if small:
+        grid = grid.thinned()
+    if grid.size > MAX_POINTS:
+        raise InputError(f"{' '.join(tokens)}: {grid.size} points are more than the limit of {MAX_POINTS}")
+    _check_keys(grid)
+    configs = [_configure(values) for values in grid.points()]
+    for method in {config.method.name: config.method for config in configs}.values():
+        method.require()
+    wanting = next((config for config in configs if config.sequence.dataset != "synthetic"), None)
+    resolved = _resolve_data(wanting or configs[0], allow_download)
+    points = [_planned(config, resolved.dataset, resolved.folder) for config in configs]
+    notices = [resolved.notice] if resolved.notice else []
+    notices += _idle_keys([key for axis in grid.axes for key in axis.keys], points)
+    stand_in = wanting is not None and resolved.dataset == "synthetic"
+    return Plan(
+        points=tuple(points),
+        varying=grid.varying,
+        dataset=resolved.dataset,
+        folder=resolved.folder,
+        config=configs[0],
+        notices=tuple(notices),
+        stand_in=stand_in,
+        small=small,
+    )
+
+
+def plan_experiment(
+    grids: Mapping[str, Sequence[str]],
+    settings: Sequence[str] = (),
+    *,
+    allow_download: bool = True,
+    small: bool = False,
+) -> Plan:
+    """Expand the grids of an experiment to one plan.
+
+    Parameters
+    ----------
+    grids : mapping of str to sequence of str
+        Overrides by the part of the artefact that they feed. Without any, the plan has no points, only the
+        data set: for artefacts that show data or parameters.
+    settings : sequence of str, optional
+        Overrides added to each grid.
+    allow_download : bool, optional
+        Whether missing Middlebury data may be downloaded.
+    small : bool, optional
+        Thin every grid: see `Grid.thinned`.
+
+    Returns
+    -------
+    Plan
+        All points; the label ``part`` names the grid of each.
+
+    Raises
+    ------
+    InputError
+        See `make_plan`.
+    """
+    if not grids:
+        return replace(make_plan(settings, allow_download=allow_download, small=small), points=(), varying=())
+    plans = {
+        part: make_plan((*tokens, *settings), allow_download=allow_download, small=small)
+        for part, tokens in grids.items()
+    }
+    points = tuple(
+        replace(planned, labels={"part": part, **planned.labels})
+        for part, plan in plans.items()
+        for planned in plan.points
+    )
+    first = next(iter(plans.values()))
+    real = next((plan for plan in plans.values() if plan.dataset == "middlebury"), first)
+    varying = tuple(dict.fromkeys(key for plan in plans.values() for key in plan.varying))
+    notices = tuple(dict.fromkeys(notice for plan in plans.values() for notice in plan.notices))
+    return replace(
+        first,
+        points=points,
+        varying=varying,
+        notices=notices,
+        dataset=real.dataset,
+        folder=real.folder,
+        stand_in=any(plan.stand_in for plan in plans.values()),
+    )
+
+
+def _expand_globs(grid: Grid) -> Grid:
+    def expand(axis: Axis) -> Axis:
+        key = axis.keys[0]
+        if len(axis.keys) > 1 or key not in ("region", "sequence", "method", "protocol"):
+            return axis
+        names = [value[0] for value in axis.values]
+        if key == "region" and names == ["none"]:
+            return axis
+        options = group_options(key)
+        if key == "sequence":
+            # `all` means the sequences of the paper, in its order; the scenes have to be named.
+            paper = [name.lower() for name in list_sequences("middlebury")]
+            options = paper if names == ["all"] else paper + [name for name in options if name not in paper]
+        return Axis(axis.keys, tuple((name,) for name in expand_names(names, options, key)))
+
+    return replace(grid, axes=tuple(expand(axis) for axis in grid.axes))
+
+
+def _check_keys(grid: Grid) -> None:
+    allowed = known_keys()
+    keys = [key for axis in grid.axes for key in axis.keys]
+    for key in keys:
+        name = key.removeprefix("params.")
+        if name not in allowed:
+            raise unknown_name("key", key, allowed)
+        if name != key and name in keys:
+            raise InputError(f"{name!r} and {key!r} are the same key, given twice")
+    for key in grid.varying:
+        if key in _FOR_ALL:
+            raise InputError(f"{key!r} takes one value, which holds for all points")
+
+
+def _configure(values: Mapping[str, str]) -> RunConfig:
+    choices = tuple((key, value) for key, value in values.items() if key in GROUPS)
+    rest = {key: value for key, value in values.items() if key not in GROUPS}
+    return _chosen(choices).override(rest)
+
+
+@lru_cache(maxsize=256)
+def _chosen(choices: tuple[tuple[str, str], ...]) -> RunConfig:
+    # Thousands of points share a few choices of groups; checking a record takes a millisecond.
+    return load_config(dict(choices))
+
+
+def _resolve_data(config: RunConfig, allow_download: bool) -> Any:
+    from fracbench.data.datasets import middlebury
+
+    dataset = "synthetic" if config.sequence.dataset == "synthetic" else config.dataset
+    return middlebury.resolve(dataset, config.data, allow_download)
+
+
+def _planned(config: RunConfig, dataset: str, folder: Path | None) -> PlannedPoint:
+    name, region = config.sequence.name, config.region
+    if config.sequence.dataset == "synthetic":
+        dataset = "synthetic"
+    elif dataset == "synthetic":
+        if config.sequence.stand_in is None:
+            raise InputError(f"sequence {config.sequence.key!r} has no synthetic stand-in")
+        name, region = config.sequence.stand_in, None
+    noise, seed = config.noise or 0.0, config.seed or 0
+    point = Point(
+        method=config.method.name,
+        params=canonical_params(config),
+        dataset=dataset,
+        sequence=name,
+        box=_box(region, config, name, dataset),
+        context=config.context if region else config.margin or 0,
+        data_digest=_digest(name, dataset, folder, noise, seed),
+        noise=canonical_value(noise),
+        seed=seed,
+        score=config.score,
+    )
+    labels = {
+        "dataset": dataset,
+        "sequence": config.sequence.key if dataset == "middlebury" else f"synthetic_{name}",
+        "region": config.region.name if config.region else "",
+        "method": config.method.name,
+        "protocol": config.protocol,
+        "context": str(config.context),
+    }
+    for key in ("shift", "margin", "noise", "seed"):
+        if (value := getattr(config, key)) is not None:
+            labels[key] = canonical_value(value)
+    return PlannedPoint(point, labels)
+
+
+def canonical_params(config: RunConfig) -> dict[str, str]:
+    """Return the parameters a configuration's method depends on, as canonical strings.
+
+    Parameters
+    ----------
+    config : RunConfig
+        The configuration.
+
+    Returns
+    -------
+    dict of str to str
+        Sorted by name; numbers as decimals, never as floats.
+    """
+    params = config.params.as_dict()
+    return {name: canonical_value(params[name]) for name in sorted(config.method.uses)}
+
+
+def _box(
+    region: Region | None, config: RunConfig, sequence: str, dataset: str
+) -> tuple[int, int, int, int] | None:
+    if region is None:
+        if not config.margin:
+            return None
+        height, width = shape_of(sequence, dataset)
+        return config.margin, height - config.margin, config.margin, width - config.margin
+    if config.shift is not None:
+        region = shifted(region, shape_of(sequence, dataset))[config.shift]
+    return (*region.rows, *region.cols)
+
+
+@lru_cache(maxsize=1024)
+def _digest(name: str, dataset: str, folder: Path | None, noise: float, seed: int) -> str:
+    if dataset == "middlebury":
+        from fracbench.data.datasets import middlebury
+
+        return middlebury.digest(name, str(folder))
+    from fracbench.data.datasets.synthetic import scenes as synthetic
+
+    return synthetic.digest(name, noise=noise, seed=seed)
+
+
+def _idle_keys(keys: Sequence[str], points: Sequence[PlannedPoint]) -> list[str]:
+    """Say which of the grid's parameters change nothing, because no method in the plan uses them."""
+    from fracbench.methods.registry import get_method
+    from fracbench.model.params import FlowParams
+
+    used = set().union(*(get_method(planned.point.method).uses for planned in points))
+    names = [key.removeprefix("params.") for key in keys]
+    return [
+        f"`{name}` does not affect the method" for name in names if name in FlowParams.names() and name not in used
+    ]

@@ -1,0 +1,101 @@
+"""How far experiments are: which points are done, failed, stale or missing, and which command goes on."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from fracbench.errors import InputError
+from fracbench.harness.config.experiment import load_experiment
+from fracbench.harness.run import sweep as execute
+from fracbench.harness.run.plan import plan_experiment
+from fracbench.harness.run.store import Store
+
+_COMMANDS = {"table": "table", "fig": "figure"}
+
+
+@dataclass(frozen=True)
+class Standing:
+    """How far one experiment is.
+
+    Attributes
+    ----------
+    experiment : str
+        Its name.
+    dataset : str
+        The data that its points are planned on.
+    points : int
+        Distinct points: done + failed + stale + missing.
+    done, failed : int
+        Points stored as they are planned, by how they ended.
+    stale : int
+        Points stored under other circumstances only: another solver version, other data.
+    missing : int
+        Points never run.
+    why : dict of str to int
+        Why points would be run, with their numbers.
+    command : str
+        What goes on; empty if nothing is to do.
+    error : str
+        Why the experiment cannot be planned; empty if it can.
+    """
+
+    experiment: str
+    dataset: str = ""
+    points: int = 0
+    done: int = 0
+    failed: int = 0
+    stale: int = 0
+    missing: int = 0
+    why: dict[str, int] = field(default_factory=dict)
+    command: str = ""
+    error: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the fields by name."""
+        return asdict(self)
+
+
+def standing(name: str, settings: Sequence[str], store: Store) -> Standing:
+    """Compare the plan of an experiment with the store; nothing is computed or downloaded.
+
+    Parameters
+    ----------
+    name : str
+        The experiment.
+    settings : sequence of str
+        Overrides for all its grids: data set, paths.
+    store : Store
+        What there is.
+
+    Returns
+    -------
+    Standing
+        With an error where the experiment cannot be planned.
+    """
+    try:
+        plan = plan_experiment(load_experiment(name).grids, settings, allow_download=False)
+    except InputError as exc:
+        return Standing(name, error=str(exc))
+    report, todo = execute.missing(plan, store)
+    missing = report.reasons["new"]
+    failed = len(report.failed)
+    return Standing(
+        experiment=name,
+        dataset=plan.dataset,
+        points=len(plan.unique()),
+        done=len(report.rows) - failed,
+        failed=failed,
+        stale=len(todo) - missing,
+        missing=missing,
+        why=dict(sorted(report.reasons.items())),
+        command=_command(name, settings, bool(failed)) if failed or todo else "",
+    )
+
+
+def _command(name: str, settings: Sequence[str], failed: bool) -> str:
+    numbered = re.fullmatch(rf"({'|'.join(_COMMANDS)})(\d+)", name)
+    words = [_COMMANDS[numbered[1]], numbered[2]] if numbered else ["experiment", name]
+    return " ".join(["fracbench", *words, *settings, *(["--rerun failed"] if failed else [])])

@@ -1,0 +1,260 @@
+"""The store: one SQLite file with one row per point that was run, whether it ended well or not.
+
+A row is committed in a transaction of its own as soon as its point is finished, so whatever stops a sweep
+loses only the points that were under way. `fracbench.harness.run.sqlite` knows the file.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sqlite3
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, fields
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from fracbench.errors import FracbenchError, InputError, unknown_name
+from fracbench.harness.run.sqlite import DAMAGED, STATUSES, explain, open_to_read, open_to_write, transaction
+
+_JSON_COLUMNS = ("spec", "result", "provenance")
+_KEYS_PER_QUERY = 500  # below the number of parameters that any SQLite accepts
+
+
+class StoreError(FracbenchError):
+    """The store could not be read or written: the disk is full, the file is damaged or locked."""
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Row:
+    """What is known of one point.
+
+    Attributes
+    ----------
+    key : str
+        SHA-256 of everything the result depends on.
+    identity : str
+        Hash of `spec` alone, without solver version and data: rows of one identity are the same point,
+        run under different circumstances.
+    spec : mapping
+        The point in canonical form.
+    solver_version : int
+        Version of the numerics that ran.
+    status : {'done', 'failed', 'crashed', 'timeout', 'diverged'}
+        How it ended.
+    error : str, optional
+        The error text, for every status but ``done``.
+    result : mapping
+        Metrics, iterations, stop reason, energy. Numbers that are not finite come back as None, arrays
+        and tuples as lists.
+    seconds, peak_mib : float, optional
+        Time and peak memory (MiB); None where they could not be measured.
+    provenance : mapping
+        Host, processor, versions, threads, commit, whether the working tree was clean.
+    attempts : int
+        How often it was started.
+    created : str
+        When it ended, UTC, ISO 8601; now by default.
+
+    Raises
+    ------
+    InputError
+        If the status is unknown.
+    """
+
+    key: str
+    identity: str
+    spec: Mapping[str, Any]
+    solver_version: int
+    status: str
+    error: str | None = None
+    result: Mapping[str, Any] = field(default_factory=dict)
+    seconds: float | None = None
+    peak_mib: float | None = None
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    attempts: int = 1
+    created: str = field(default_factory=_now)
+
+    def __post_init__(self) -> None:
+        _known_status(self.status)
+
+    def to_json(self) -> str:
+        """Return the row as one line of JSON, with the values that the store would keep."""
+        return canonical_json(_finite(vars(self)))
+
+    @classmethod
+    def from_json(cls, text: str) -> Row:
+        """Return the row that `to_json` wrote; ValueError if it is none."""
+        try:
+            return cls(**json.loads(text))
+        except (TypeError, InputError) as exc:
+            raise ValueError(f"not a row: {exc}") from exc
+
+
+_COLUMNS = tuple(f.name for f in fields(Row))
+_SELECT = f"SELECT {', '.join(_COLUMNS)} FROM points"
+_UPSERT = (
+    f"INSERT INTO points ({', '.join(_COLUMNS)}) VALUES ({', '.join('?' for _ in _COLUMNS)}) "
+    f"ON CONFLICT (key) DO UPDATE SET {', '.join(f'{c} = excluded.{c}' for c in _COLUMNS[1:])} "
+    "WHERE points.status != 'done' OR excluded.status = 'done'"
+)
+
+
+class Store:
+    """An open store; use it in a ``with`` statement, in one thread.
+
+    Parameters
+    ----------
+    path : path-like
+        The file; it and its folder are created if they are not there.
+    readonly : bool, default: False
+        Open for reading only: nothing is created, and a store that is not there reads as an empty one.
+
+    Raises
+    ------
+    InputError
+        If the file is no store, of another schema version, or cannot be opened. Every method raises
+        `StoreError` where SQLite fails later on.
+    """
+
+    def __init__(self, path: str | Path, *, readonly: bool = False) -> None:
+        self.path = Path(path)
+        self.readonly = readonly
+        if self.path.is_dir():
+            raise InputError(f"store {self.path}: is a folder; name a file in it")
+        try:
+            self._db = open_to_read(self.path) if readonly else open_to_write(self.path)
+        except (OSError, sqlite3.Error) as exc:
+            raise InputError(f"store {self.path}: {explain(exc)}") from exc
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, exc: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file; closing twice does nothing."""
+        self._db.close()
+
+    def get(self, key: str) -> Row | None:
+        """Return the row of a key, or None."""
+        return self.get_many([key]).get(key)
+
+    def get_many(self, keys: Iterable[str]) -> dict[str, Row]:
+        """Return the rows there are for these keys, by key."""
+        wanted = list(dict.fromkeys(keys))
+        found: dict[str, Row] = {}
+        for first in range(0, len(wanted), _KEYS_PER_QUERY):
+            chunk = wanted[first : first + _KEYS_PER_QUERY]
+            marks = ", ".join("?" for _ in chunk)
+            found.update((row.key, row) for row in self._select(f"WHERE key IN ({marks})", chunk))
+        return {key: found[key] for key in wanted if key in found}
+
+    def by_identity(self, identity: str) -> list[Row]:
+        """Return every row of a point, oldest first: under other keys, why it has to be run again."""
+        return self._select("WHERE identity = ? ORDER BY created, rowid", [identity])
+
+    def rows(self, status: str | None = None) -> list[Row]:
+        """Return all rows, or those of one status, in the order in which they were first written."""
+        if status is None:
+            return self._select("ORDER BY rowid", [])
+        return self._select("WHERE status = ? ORDER BY rowid", [_known_status(status)])
+
+    def counts(self) -> dict[str, int]:
+        """Return the number of rows of every status, 0 included."""
+        with self._translated():
+            found = dict(self._db.execute("SELECT status, count(*) FROM points GROUP BY status"))
+        return {status: found.get(status, 0) for status in STATUSES}
+
+    def put(self, row: Row) -> bool:
+        """Write a row in a transaction of its own, in place of one with the same key.
+
+        Returns
+        -------
+        bool
+            False if the row was left out because it failed and there is a ``done`` one already.
+        """
+        values = _encode(row)
+        with self._transaction():
+            return self._db.execute(_UPSERT, values).rowcount == 1
+
+    def delete(self, keys: Iterable[str]) -> int:
+        """Delete the rows of these keys, all or none, and return how many there were."""
+        with self._transaction():
+            return self._db.executemany("DELETE FROM points WHERE key = ?", [(k,) for k in keys]).rowcount
+
+    def _select(self, condition: str, parameters: Sequence[str]) -> list[Row]:
+        with self._translated():
+            found = self._db.execute(f"{_SELECT} {condition}", parameters).fetchall()
+        try:
+            return [_decode(values) for values in found]
+        except ValueError as exc:
+            raise StoreError(f"store {self.path}: {DAMAGED} ({exc})") from exc
+
+    @contextmanager
+    def _transaction(self) -> Iterator[None]:
+        if self.readonly:
+            raise StoreError(f"store {self.path}: opened for reading only")
+        with self._translated(), transaction(self._db):
+            yield
+
+    @contextmanager
+    def _translated(self) -> Iterator[None]:
+        try:
+            yield
+        except sqlite3.Error as exc:
+            raise StoreError(f"store {self.path}: {explain(exc)}") from exc
+
+
+def canonical_json(value: object) -> str:
+    """Return the one JSON text of a value, fit to be hashed: sorted keys, no spaces, ASCII only.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a number is not finite, or something has no JSON form.
+    """
+    return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def _known_status(status: str) -> str:
+    if status not in STATUSES:
+        raise unknown_name("status", status, STATUSES)
+    return status
+
+
+def _encode(row: Row) -> tuple[object, ...]:
+    # Lone surrogates (a file name that is not UTF-8) have no place in a TEXT column.
+    error = None if row.error is None else row.error.encode("utf-8", "backslashreplace").decode()
+    values = {name: _finite(getattr(row, name)) for name in _COLUMNS} | {"error": error}
+    values |= {"spec": canonical_json(dict(row.spec))}
+    values |= {name: canonical_json(values[name]) for name in ("result", "provenance")}
+    return tuple(values[name] for name in _COLUMNS)
+
+
+def _decode(values: Sequence[Any]) -> Row:
+    row = dict(zip(_COLUMNS, values, strict=True))
+    return Row(**row | {name: json.loads(row[name]) for name in _JSON_COLUMNS})
+
+
+def _finite(value: Any) -> Any:
+    """Replace NumPy values by Python's and numbers that JSON cannot hold by None."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, Mapping):
+        return {name: _finite(item) for name, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return value

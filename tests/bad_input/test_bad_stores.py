@@ -1,0 +1,103 @@
+"""A file in the place of a store: refused in one line that names it and the remedy, and left as it is."""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from fracbench.harness.run.sqlite import APPLICATION_ID, SCHEMA_VERSION
+from fracbench.harness.run.store import Store
+
+POINT = ("alpha=1", "sequence=synthetic_flat", "n_scales=1", "n_warps=1", "max_iter=1")
+PLACE = Path("results/runs/store.sqlite")
+
+
+def fresh(path: Path) -> bytes:
+    with Store(path):
+        pass
+    return path.read_bytes()
+
+
+def execute(path: Path, *statements: str) -> None:
+    db = sqlite3.connect(path)
+    for statement in statements:
+        db.execute(statement)
+    db.commit()
+    db.close()
+
+
+def overwritten(path: Path, at: int, data: bytes) -> None:
+    content = bytearray(fresh(path))
+    content[at : at + len(data)] = data
+    path.write_bytes(bytes(content))
+
+
+STORES: list[tuple[str, Callable[[Path], object], str]] = [
+    (
+        "text",
+        lambda path: path.write_text("a text, which is no database at all"),
+        "is not a fracbench store",
+    ),
+    ("random", lambda path: path.write_bytes(bytes(range(256)) * 40), "is not a fracbench store"),
+    ("folder", lambda path: path.mkdir(), "is a folder; name a file in it"),
+    ("another", lambda path: execute(path, "CREATE TABLE a (b)"), "is another program's SQLite database"),
+    ("newer", lambda path: later(path, SCHEMA_VERSION + 1), "written by a fracbench newer than this"),
+    ("older", lambda path: later(path, SCHEMA_VERSION - 1), "written by a fracbench older than this"),
+    ("negative", lambda path: later(path, -1), "written by a fracbench older than this"),
+    ("cut off", lambda path: path.write_bytes(fresh(path)[:1500]), "store.sqlite"),
+    ("header", lambda path: overwritten(path, 16, b"\xff\xff"), "store.sqlite"),
+    ("no table", lambda path: bare(path), "store.sqlite"),
+    ("another table", lambda path: another_table(path), "store.sqlite"),
+]
+
+
+def later(path: Path, version: int) -> None:
+    fresh(path)
+    execute(path, f"PRAGMA user_version = {version}")
+
+
+def bare(path: Path) -> None:
+    execute(path, f"PRAGMA application_id = {APPLICATION_ID}", f"PRAGMA user_version = {SCHEMA_VERSION}")
+
+
+def another_table(path: Path) -> None:
+    bare(path)
+    execute(path, "CREATE TABLE points (key TEXT, identity TEXT)")
+
+
+@pytest.fixture
+def place(work) -> Path:
+    (work / PLACE.parent).mkdir(parents=True)
+    return work / PLACE
+
+
+@pytest.mark.parametrize(("make", "named"), [pytest.param(make, named, id=name) for name, make, named in STORES])
+@pytest.mark.parametrize("argv", [["sweep", *POINT], ["sweep", *POINT, "--dry-run"], ["status"]])
+def test_files_that_are_no_store(work, place, refused, make, named, argv):
+    make(place)
+    refused(work, argv, str(PLACE), named)
+
+
+@pytest.mark.parametrize(("make", "named"), [pytest.param(make, named, id=name) for name, make, named in STORES])
+def test_no_side_of_a_comparison(work, place, refused, make, named):
+    make(place)
+    if place.is_dir():
+        named = "is neither a store nor a commit"
+    fresh(work / "good.sqlite")
+    refused(work, ["compare", str(place), "good.sqlite"], named)
+
+
+def test_a_row_that_is_no_json_is_damage_not_code(work, place, refused):
+    """A store is data: what stands in its columns is read as JSON, whatever it looks like."""
+    with Store(place):
+        pass
+    row = ("k", "i", "__import__('os').abort()", 1, "done", "{}", "{}", 1, "2026-01-01")
+    db = sqlite3.connect(place)
+    columns = "key, identity, spec, solver_version, status, result, provenance, attempts, created"
+    db.execute(f"INSERT INTO points ({columns}) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)", row)
+    db.commit()
+    db.close()
+    refused(work, ["compare", str(place), str(place)], "is damaged; move it away")

@@ -1,0 +1,229 @@
+"""Tolerances: each has its basis and its reason, and follows from what was measured by one rule."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+
+import pandas as pd
+import pytest
+
+from fracbench.errors import InputError
+from fracbench.harness.check import tolerances
+from fracbench.harness.check.tolerances import (
+    MEASURED,
+    Tolerance,
+    derive,
+    load_spreads,
+    load_tolerances,
+    outdated,
+    rounded_up,
+    to_toml,
+    write,
+)
+from fracbench.harness.config.paths import asset
+
+TOML = "\n".join(
+    f'[{column}]\nabsolute = 1e-6\nrelative = 1e-3\nbasis = "measured"\nreason = "rounding"\n'
+    for column in MEASURED
+)
+CELL = '[[cell]]\ntable = "t"\nrow = "grove2, tvl1"\ncolumn = "aepe"\nrelative = 0.05\n'
+ORIGIN = {"solver_version": 7, "cpu": "Abacus"}
+REASONS = dict.fromkeys(MEASURED, "rounding")
+
+
+def refusal(call) -> str:
+    with pytest.raises(InputError) as caught:
+        call()
+    message = str(caught.value)
+    assert len(message.splitlines()) == 1
+    return message
+
+
+def spreads(values, column="aepe", under="float64") -> pd.DataFrame:
+    """A table of spreads: those of one column as given, of the others 0."""
+    records = [
+        {"row": f"row {i}", "column": name, "two threads": 0.0, under: value if name == column else 0.0}
+        for i, value in enumerate(values)
+        for name in MEASURED
+    ]
+    return pd.DataFrame(records)
+
+
+# -- the file ------------------------------------------------------------------------------------
+
+
+def test_tolerances_are_read(reference):
+    (reference / "tolerances.toml").write_text(TOML + CELL)
+    read = load_tolerances()
+    assert read.columns == {column: Tolerance(1e-6, 1e-3, "measured", "rounding") for column in MEASURED}
+    assert read.of("t", "grove2, tvl1", "aepe") == Tolerance(1e-6, 0.05, "measured", "rounding")
+    for other in (("u", "grove2, tvl1", "aepe"), ("t", "venus, tvl1", "aepe"), ("t", "grove2, tvl1", "aae")):
+        assert read.of(*other).relative == 1e-3
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('reason = "rounding"', ""),
+        ('reason = "rounding"', 'reason = " "'),
+        ('basis = "measured"', ""),
+        ('basis = "measured"', 'basis = ""'),
+        ("absolute = 1e-6", ""),
+        ("absolute = 1e-6", "absolute = -1e-6"),
+        ("relative = 1e-3", "relative = inf"),
+        ("relative = 1e-3", "relative = nan"),
+        ("relative = 1e-3", 'relative = "1e-3"'),
+        ("relative = 1e-3", "relativ = 1e-3"),
+        ("[aepe]", "[apee]"),
+        ("[aepe]", "[aepe"),
+        ("[aepe]", "[aae]"),
+        ('column = "aepe"', 'column = "apee"'),
+        ('column = "aepe"', ""),
+        ("relative = 0.05", "relative = nan"),
+        ("relative = 0.05", 'relative = "wide"'),
+        ("[[cell]]", "[cell]"),
+    ],
+)
+def test_a_tolerance_without_all_it_needs_is_refused(reference, old, new):
+    assert old in TOML + CELL
+    (reference / "tolerances.toml").write_text((TOML + CELL).replace(old, new, 1))
+    assert "each of aae, aepe, sdae needs absolute, relative, basis, reason" in refusal(load_tolerances)
+
+
+@pytest.mark.parametrize("content", [None, b"\xff\xfe"])
+def test_no_tolerances_at_all_are_refused(reference, content):
+    if content is not None:
+        (reference / "tolerances.toml").write_bytes(content)
+    assert "tolerances.toml" in refusal(load_tolerances)
+
+
+# -- the rule ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        (1.1e-3, 2e-3),
+        (2e-3, 2e-3),
+        (2.01e-3, 5e-3),
+        (5.1e-3, 1e-2),
+        (1.0, 1.0),
+        (0.0, 1e-5),
+        (3e-6, 1e-5),
+        (7.0, 10.0),
+    ],
+)
+def test_rounding_up_to_1_2_or_5(value, expected):
+    assert rounded_up(value) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("value", [float("inf"), float("nan"), -1.0])
+def test_what_is_not_finite_has_no_tolerance(value):
+    with pytest.raises(ValueError, match="a spread must be finite"):
+        rounded_up(value)
+
+
+def test_a_column_covers_nearly_all_cells_and_the_rest_have_their_own():
+    """100 cells: the 90th smallest spread counts; the two above it are listed by name."""
+    values = [1e-4] * 89 + [6e-4] * 9 + [4e-3, 2e-2]
+    found = derive({"t": spreads(values[:60]), "u": spreads(values[60:])}, REASONS)
+    assert found.columns["aepe"].relative == pytest.approx(2e-3)  # 3 x 6e-4
+    assert found.columns["aae"].relative == 1e-5
+    assert found.cells == {
+        ("u", "row 38", "aepe"): pytest.approx(2e-2),  # 3 x 4e-3
+        ("u", "row 39", "aepe"): pytest.approx(1e-1),
+    }
+    assert "3 times 6.0e-04" in found.columns["aepe"].basis
+    assert "90% of 100 cells (t, u)" in found.columns["aepe"].basis
+    assert found.columns["aepe"].basis.endswith("2 cells have their own")
+
+
+def test_the_largest_spread_under_any_circumstance_counts():
+    one, other = spreads([1e-3]), spreads([2e-3], under="kernels")
+    both = one.merge(other, on=["row", "column", "two threads"])
+    assert derive({"t": both}, REASONS).columns["aepe"].relative == pytest.approx(1e-2)
+    assert derive({"t": one}, REASONS).columns["aepe"].relative == pytest.approx(5e-3)
+
+
+# -- writing -------------------------------------------------------------------------------------
+
+
+def test_what_is_written_is_read_and_the_reasons_stay(reference):
+    (reference / "tolerances.toml").write_text(TOML)
+    paths = write({"t": spreads([1e-4] * 60 + [1e-2])}, ORIGIN)
+    assert paths == [
+        reference / "spread" / "t.csv",
+        reference / "spread" / "t.json",
+        reference / "tolerances.toml",
+    ]
+    assert json.loads(paths[1].read_text()) == ORIGIN
+    read = load_tolerances()
+    assert {tolerance.reason for tolerance in read.columns.values()} == {"rounding"}
+    assert read.columns["aepe"].relative == pytest.approx(5e-4)
+    assert read.cells == {("t", "row 60", "aepe"): pytest.approx(5e-2)}
+    assert read == derive(load_spreads(), REASONS)
+    assert tomllib.loads(to_toml(read))["cell"][0]["row"] == "row 60"
+
+
+def test_the_spreads_of_other_tables_count_on(reference):
+    (reference / "tolerances.toml").write_text(TOML)
+    write({"t": spreads([1e-2])}, ORIGIN)
+    write({"u": spreads([1e-4])}, ORIGIN)
+    assert load_tolerances().columns["aepe"].relative == pytest.approx(5e-2)
+    write({"t": spreads([1e-4])}, ORIGIN)
+    assert load_tolerances().columns["aepe"].relative == pytest.approx(5e-4)
+
+
+def test_what_this_machine_cannot_measure_stays(reference):
+    """Kernels for a processor that this one is not, and what another has stored."""
+    (reference / "tolerances.toml").write_text(TOML)
+    write({"t": spreads([1e-2], under="SkylakeX")}, ORIGIN)
+    write({"t": spreads([1e-4, 2e-4])}, ORIGIN)
+    table = load_spreads()["t"].set_index(["row", "column"])
+    assert list(table.columns) == ["two threads", "float64", "SkylakeX"]
+    assert table.loc[("row 0", "aepe")].tolist() == [0, 1e-4, 1e-2]
+    assert table.loc[("row 1", "aepe")].tolist() == [0, 2e-4, 0]
+    assert load_tolerances().columns["aepe"].relative == pytest.approx(5e-2)
+    write({"t": spreads([1e-4])}, ORIGIN | {"solver_version": 8})
+    assert list(load_spreads()["t"].columns) == ["row", "column", "two threads", "float64"]
+
+
+def test_a_spread_of_other_numerics_is_outdated(reference):
+    (reference / "tolerances.toml").write_text(TOML)
+    write({"t": spreads([1e-4])}, ORIGIN)
+    assert outdated(["t", "u"], 7) == ["u"]
+    assert outdated(["t"], 8) == ["t"]
+
+
+def test_nothing_is_written_of_a_spread_that_is_not_finite(reference):
+    (reference / "tolerances.toml").write_text(TOML)
+    assert "no tolerance follows from what was measured" in refusal(
+        lambda: write({"t": spreads([float("inf")])}, ORIGIN)
+    )
+    assert [path.name for path in reference.iterdir()] == ["tolerances.toml"]
+
+
+@pytest.mark.parametrize("text", ["", "row,column\na,b,c,d\n", "row,aae\na,1\n", "row,column,x\na,aae,b\n"])
+def test_a_table_of_spreads_that_is_none_is_refused(reference, text):
+    (reference / "spread").mkdir()
+    (reference / "spread" / "t.csv").write_text(text)
+    assert "t.csv: no table of spreads" in refusal(load_spreads)
+
+
+# -- those of the project ------------------------------------------------------------------------
+
+
+def test_the_projects_tolerances_follow_from_its_spreads():
+    """No number in the file is typed by hand."""
+    stored = load_tolerances()
+    found = derive(load_spreads(), {column: tolerance.reason for column, tolerance in stored.columns.items()})
+    assert found == stored
+    assert asset("results/reference/tolerances.toml").read_text(encoding="utf-8") == to_toml(found)
+
+
+def test_the_projects_tolerances_are_tight():
+    """One per cent more or less theta moves errors by some per cent: a tolerance must not hide it."""
+    assert all(tolerance.relative <= 1e-2 for tolerance in load_tolerances().columns.values())
+    n_cells = sum(len(table) for table in load_spreads().values())
+    assert len(load_tolerances().cells) <= (1 - tolerances.COVERED) * n_cells

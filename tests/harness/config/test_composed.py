@@ -1,0 +1,64 @@
+"""Compositions are made once for a configuration, and again when any of its files changes."""
+
+from __future__ import annotations
+
+import pytest
+
+from fracbench.harness.config import composed
+from fracbench.harness.config.composed import remembered
+
+CHOICES = (("protocol", "reference"),)
+
+
+@pytest.fixture
+def conf(tmp_path, monkeypatch):
+    """A configuration, and a cache that does not exist yet."""
+    monkeypatch.setattr(composed, "cache_folder", lambda: tmp_path / "deep" / "cache")
+    folder = tmp_path / "conf"
+    (folder / "method").mkdir(parents=True)
+    (folder / "config.yaml").write_text("a: 1\n")
+    return folder
+
+
+class Compose:
+    """Counts how often it is asked."""
+
+    def __init__(self):
+        self.calls = 0
+
+    def __call__(self):
+        self.calls += 1
+        return {"params": {"alpha": 0.1, "pad": 0, "gain": None, "warm": True}, "rows": [90, 250]}
+
+
+def test_the_second_answer_is_the_first(conf):
+    compose = Compose()
+    assert remembered(conf, CHOICES, compose) == remembered(conf, CHOICES, compose) == compose()
+    assert compose.calls == 2  # one of them is the line above
+
+
+@pytest.mark.parametrize("change", ["config.yaml", "method/tvl1.yaml"])
+def test_a_changed_or_new_file_is_seen(conf, change):
+    compose = Compose()
+    remembered(conf, CHOICES, compose)
+    (conf / change).write_text("a: 2\n")
+    remembered(conf, CHOICES, compose)
+    assert compose.calls == 2
+
+
+def test_other_choices_are_other_compositions(conf):
+    compose = Compose()
+    for choices in (CHOICES, (), (("protocol", "published"),)):
+        remembered(conf, choices, compose)
+    assert compose.calls == 3
+
+
+def test_a_broken_or_forbidden_cache_is_done_without(conf, tmp_path, monkeypatch):
+    compose = Compose()
+    remembered(conf, CHOICES, compose)
+    (entry,) = (tmp_path / "deep" / "cache").iterdir()
+    entry.write_text('{"params": ')
+    assert remembered(conf, CHOICES, compose)["rows"] == [90, 250] and compose.calls == 2
+    (tmp_path / "deep2").write_text("a file where the folder should be")
+    monkeypatch.setattr(composed, "cache_folder", lambda: tmp_path / "deep2" / "cache")
+    assert remembered(conf, CHOICES, compose)["rows"] == [90, 250] and compose.calls == 3

@@ -1,0 +1,595 @@
+"""Running a plan: nothing is computed twice, nothing finished is lost, and a dead worker costs one point."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from fracbench.errors import FracbenchError
+from fracbench.harness.run import point as point_module
+from fracbench.harness.run import pool as workers
+from fracbench.harness.run import spool
+from fracbench.harness.run import sweep as execute
+from fracbench.harness.run.message import Job
+from fracbench.harness.run.plan import make_plan
+from fracbench.harness.run.store import Store
+
+FLAT = ("sequence=synthetic_flat", "n_scales=1", "n_warps=1", "max_iter=2")
+
+
+@pytest.fixture
+def store(tmp_path):
+    with Store(tmp_path / "store.sqlite") as opened:
+        yield opened
+
+
+def plan(*tokens, base=FLAT):
+    return make_plan([*tokens, *base], allow_download=False)
+
+
+def by_alpha(made, report):
+    return {planned.point.params["alpha"]: report.rows[planned.point.key] for planned in made.points}
+
+
+def replace_point(monkeypatch, instead):
+    """Let workers call ``instead(point, finish)`` for each point; `finish` gives a made-up outcome.
+
+    The functions reach the workers by value: they see what is enclosed here, and no other change made in
+    this process.
+    """
+
+    def compute(job, folder, parent):
+        import os
+
+        from fracbench.harness.run import compute_point as task
+        from fracbench.harness.run import pool as workers
+        from fracbench.harness.run.message import Outcome
+
+        def finish(status="done", error=None):
+            return Outcome(status, error, {}, 1.0, None, {"host": "h"})
+
+        def run_point(point, folder, guard):
+            with guard():
+                return instead(point, finish)
+
+        assert os.getpid() != parent, "a point was computed in the parent's own process"
+        real, task.run_point = task.run_point, run_point
+        try:
+            workers._compute(job, folder, parent)
+        finally:
+            task.run_point = real
+
+    monkeypatch.setattr(workers, "_compute", compute)
+
+
+# -- what is computed ----------------------------------------------------------------------------
+
+
+def test_each_point_is_computed_once_and_stored(store):
+    made = plan("alpha=0:2:1")
+    seen = []
+    report = execute.run(made, store, jobs=2, on_row=seen.append)
+    assert (report.computed, report.reused, dict(report.reasons)) == (3, 0, {"new": 3})
+    assert set(report.rows) == set(made.unique())
+    assert sorted(row.key for row in seen) == sorted(report.rows)
+    for key, row in report.rows.items():
+        assert store.get(key).result == row.result
+        assert (row.status, row.error, row.attempts) == ("done", None, 1)
+        assert row.spec == made.unique()[key].spec
+        assert row.seconds > 0
+        assert row.provenance["threads"] == 1
+        assert row.provenance["data"] == made.unique()[key].data_digest
+        assert {"commit", "dirty", "host", "versions"} <= set(row.provenance)
+    again = execute.run(made, store, jobs=2, on_row=seen.append)
+    assert (again.computed, again.reused, len(seen)) == (0, 3, 3)
+    assert {key: row.result for key, row in again.rows.items()} == {
+        key: store.get(key).result for key in report.rows
+    }
+
+
+def test_a_larger_grid_computes_what_is_new(store):
+    execute.run(plan("alpha=0,1"), store, jobs=2)
+    report = execute.run(plan("alpha=0:2:0.5"), store, jobs=2)
+    assert (report.computed, report.reused) == (3, 2)
+
+
+def test_points_of_two_names_are_computed_once(store):
+    report = execute.run(plan("alpha=0,1", "method=tvl1"), store, jobs=2)
+    assert (report.computed, len(report.rows)) == (1, 1)
+
+
+def test_what_is_missing_is_told_before_it_is_computed(store):
+    told = []
+    made = plan("alpha=0,1")
+    report, todo = execute.missing(made, store)
+    assert (list(todo), report.rows) == (list(made.unique()), {})
+    execute.run(made, store, jobs=2, on_start=lambda report, n: told.append((report.reused, n)))
+    assert told == [(0, 2)]
+    report, todo = execute.missing(made, store)
+    assert (todo, report.reused) == ({}, 2)
+
+
+def test_rows_are_stored_as_they_come(store, tmp_path, monkeypatch):
+    """Whatever stops the sweep later."""
+
+    def instead(point, finish):
+        import time
+
+        time.sleep(0.3)
+        return finish()
+
+    replace_point(monkeypatch, instead)
+    made = plan("alpha=0,1,2")
+
+    def stop(row):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        execute.run(made, store, jobs=1, on_row=stop)
+    with Store(tmp_path / "store.sqlite", readonly=True) as other:
+        assert len(other.rows("done")) == 1
+    assert execute.run(made, store, jobs=1).computed == 2
+
+
+@pytest.mark.parametrize("method", ["tvl1", "tvl1_sb", "tvl1_sb_alpha"])
+def test_the_number_of_workers_changes_no_bit(tmp_path, method):
+    made = plan("lambda=0.2,0.3", f"method={method}", "sequence=synthetic_edge", base=FLAT[1:])
+    results = []
+    for jobs in (1, 2):
+        with Store(tmp_path / f"{jobs}.sqlite") as store:
+            rows = execute.run(made, store, jobs=jobs).rows
+        results.append({key: {**row.result, "phases": sorted(row.result["phases"])} for key, row in rows.items()})
+    assert results[0] == results[1]
+    assert len({result["aepe"] for result in results[0].values()}) == 2
+
+
+# -- why a point is run again --------------------------------------------------------------------
+
+
+def test_another_version_of_the_solver_is_a_reason(store, monkeypatch):
+    execute.run(plan("alpha=1"), store, jobs=1)
+    version = point_module.SOLVER_VERSION
+    for module in (point_module, execute):
+        monkeypatch.setattr(module, "SOLVER_VERSION", version + 1)
+    report = execute.run(plan("alpha=1,2"), store, jobs=1)
+    assert dict(report.reasons) == {f"solver version {version} -> {version + 1}": 1, "new": 1}
+    assert {row.solver_version for row in report.rows.values()} == {version + 1}
+    assert len(store.rows("done")) == 3
+
+
+def test_changed_data_are_a_reason(store, fake_rows):
+    made = plan("alpha=1")
+    (row,) = fake_rows(made).values()
+    old = {**vars(row), "key": "made from other data", "solver_version": point_module.SOLVER_VERSION}
+    store.put(type(row)(**old))
+    report, todo = execute.missing(made, store)
+    assert dict(report.reasons) == {"data changed": 1}
+    assert len(todo) == 1
+
+
+# -- failures ------------------------------------------------------------------------------------
+
+
+def test_a_point_that_fails_is_a_row_and_the_others_go_on(store, monkeypatch):
+    def instead(point, finish):
+        return finish("failed", "made to fail") if point.params["alpha"] == "1" else finish()
+
+    replace_point(monkeypatch, instead)
+    made = plan("alpha=0:2:0.5")
+    report = execute.run(made, store, jobs=2)
+    assert report.computed == 5
+    (failed,) = report.failed
+    assert (failed.status, failed.error, failed.result) == ("failed", "made to fail", {})
+    rows = by_alpha(made, report)
+    assert {alpha for alpha, row in rows.items() if row.status == "done"} == {"0", "0.5", "1.5", "2"}
+    assert store.get(failed.key).error == "made to fail"
+
+
+def test_failed_points_are_run_again_only_on_request(store, fake_rows):
+    made = plan("alpha=0,1")
+    for row in fake_rows(made, status="failed").values():
+        store.put(row)
+    report = execute.run(made, store, jobs=2)
+    assert (report.computed, report.reused, len(report.failed)) == (0, 2, 2)
+    report = execute.run(made, store, jobs=2, rerun_failed=True)
+    assert (report.computed, report.failed, dict(report.reasons)) == (2, [], {"failed before": 2})
+    report = execute.run(made, store, jobs=2, rerun_failed=True)
+    assert (report.computed, report.reused) == (0, 2)
+
+
+def read_log(log: Path) -> list[list[str]]:
+    return [line.split() for line in log.read_text().splitlines()]
+
+
+def test_a_worker_that_dies_costs_its_point_one_retry_alone(store, monkeypatch, tmp_path):
+    """Point 0 kills its worker while 1 is under way: 1 goes on, and 0 is tried again when nothing else runs."""
+    log = tmp_path / "log"
+    log.touch()
+
+    def instead(point, finish):
+        import os
+        import time
+
+        alpha = point.params["alpha"]
+        with log.open("a") as file:
+            file.write(f"start {alpha}\n")
+        if alpha == "0":
+            while "1" not in log.read_text().split():
+                time.sleep(0.01)
+            os._exit(9)
+        if alpha == "1":
+            time.sleep(0.5)
+        with log.open("a") as file:
+            file.write(f"end {alpha}\n")
+        return finish()
+
+    replace_point(monkeypatch, instead)
+    made = plan("alpha=0,1,0.5,1.5,2")
+    report = execute.run(made, store, jobs=2)
+    rows = by_alpha(made, report)
+    assert {alpha: row.status for alpha, row in rows.items()} == {
+        "0": "crashed", "1": "done", "0.5": "done", "1.5": "done", "2": "done"
+    }  # fmt: skip
+    assert {alpha: row.attempts for alpha, row in rows.items()} == {"0": 2, "1": 1, "0.5": 1, "1.5": 1, "2": 1}
+    assert "the worker process died 2 times" in rows["0"].error
+    assert store.get(rows["0"].key).status == "crashed"
+    events = read_log(log)
+    assert sorted(alpha for what, alpha in events if what == "start") == ["0", "0", "0.5", "1", "1.5", "2"]
+    assert events[-1] == ["start", "0"]
+    # ... and the sweep can be run again.
+    replace_point(monkeypatch, lambda point, finish: finish())
+    report = execute.run(made, store, jobs=2, rerun_failed=True)
+    assert (report.computed, report.failed, dict(report.reasons)) == (1, [], {"crashed before": 1})
+
+
+def test_one_worker_may_die_as_well(store, monkeypatch):
+    """With one job, too, points are computed in another process than this one."""
+
+    def instead(point, finish):
+        import os
+
+        if point.params["alpha"] == "1":
+            os._exit(9)
+        return finish()
+
+    replace_point(monkeypatch, instead)
+    made = plan("alpha=0,1,2")
+    rows = by_alpha(made, execute.run(made, store, jobs=1))
+    assert {alpha: (row.status, row.attempts) for alpha, row in rows.items()} == {
+        "0": ("done", 1), "1": ("crashed", 2), "2": ("done", 1)
+    }  # fmt: skip
+
+
+def test_a_worker_that_dies_after_its_point_is_finished_loses_nothing(store, monkeypatch, tmp_path):
+    log = tmp_path / "log"
+    replace_point(monkeypatch, lambda point, finish: finish())
+    finish_and_say = workers._compute
+
+    def compute(job, folder, parent):
+        import os
+
+        with log.open("a") as file:
+            file.write(f"start {job.key}\n")
+        finish_and_say(job, folder, parent)
+        os._exit(9)
+
+    monkeypatch.setattr(workers, "_compute", compute)
+    report = execute.run(plan("alpha=0,1,2"), store, jobs=2)
+    assert {(row.status, row.attempts) for row in report.rows.values()} == {("done", 1)}
+    assert len(read_log(log)) == 3
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_point_over_time_is_a_row_and_costs_no_other(store, monkeypatch, tmp_path, jobs):
+    log = tmp_path / "log"
+
+    def instead(point, finish):
+        import ctypes
+        import time
+
+        with log.open("a") as file:
+            file.write(f"{point.params['alpha']}\n")
+        if point.params["alpha"] == "0":  # Python itself stands still: nothing else in this process gets a turn
+            ctypes.PyDLL(None).sleep(20)
+        time.sleep(0.4 if point.params["alpha"] == "1" else 0.0)
+        return finish()
+
+    replace_point(monkeypatch, instead)
+    made = plan("alpha=0,1,2", "parallel.timeout=0.7")
+    report = execute.run(made, store, jobs=jobs)
+    rows = by_alpha(made, report)
+    assert {alpha: (row.status, row.attempts) for alpha, row in rows.items()} == {
+        "0": ("timeout", 1), "1": ("done", 1), "2": ("done", 1)
+    }  # fmt: skip
+    assert rows["0"].error == "not finished within the 0.7 s allowed"
+    assert sorted(log.read_text().split()) == ["0", "1", "2"]
+
+
+def test_the_estimate_alone_is_timed(store, monkeypatch):
+    """Not the start of a worker, nor compilation, nor the errors of the flow."""
+
+    def compute(job, folder, parent):
+        import time
+
+        from fracbench.harness.run import compute_point as task
+        from fracbench.harness.run import pool as workers
+
+        def slowly(function):
+            def instead(*arguments):
+                time.sleep(0.6)
+                return function(*arguments)
+
+            return instead
+
+        before = task._warm_up, task.flow_errors
+        task._warm_up, task.flow_errors = map(slowly, before)
+        try:
+            workers._compute(job, folder, parent)
+        finally:
+            task._warm_up, task.flow_errors = before
+
+    monkeypatch.setattr(workers, "_compute", compute)
+    report = execute.run(plan("alpha=0,1", "parallel.timeout=0.5"), store, jobs=1)
+    assert {(row.status, row.attempts) for row in report.rows.values()} == {("done", 1)}
+
+
+def test_what_was_finished_as_the_time_ended_is_kept(store, fake_rows):
+    """The row is in the spool although the process is killed."""
+    (row,) = fake_rows(plan("alpha=0")).values()
+    folder = spool.folder_of(store.path)
+    folder.mkdir()
+    spool.write(folder, row)
+    with closing(workers.LocalCrew(1, folder)) as crew:
+        place = workers._Place()
+        place.job = Job(row.key, None, 1, 2, {})
+        crew._busy[place.line] = place
+        assert crew._give_up(place) == (row.key, row)
+        assert crew.free() == 1
+
+
+@pytest.mark.parametrize("noticed", [False, True])
+def test_a_worker_that_dies_while_it_is_idle_costs_nothing(store, monkeypatch, noticed):
+    replace_point(monkeypatch, lambda point, finish: finish())
+    execute.run(plan("alpha=0"), store, jobs=1)
+    pid = workers._idle[-1].pid
+    os.kill(pid, signal.SIGKILL)
+    if noticed:
+        while _alive(pid):
+            time.sleep(0.05)
+    report = execute.run(plan("alpha=1"), store, jobs=1)
+    assert [(row.status, row.attempts) for row in report.rows.values()] == [("done", 1)]
+
+
+def test_a_worker_serves_one_sweep_after_another(store, monkeypatch):
+    """It is not started again, watches its parent and is deaf to Ctrl-C all the time."""
+
+    def instead(point, finish):
+        import signal
+        import threading
+
+        watched = any(thread.name == "parent" for thread in threading.enumerate())
+        deaf = signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+        return finish() if watched and deaf else finish("failed", f"watched: {watched}, deaf: {deaf}")
+
+    replace_point(monkeypatch, instead)
+    monkeypatch.setattr(workers, "_idle", [])
+    pids = set()
+    for alpha in ("0", "0.5", "1"):
+        report = execute.run(plan(f"alpha={alpha}"), store, jobs=1)
+        assert {(row.error, row.attempts) for row in report.rows.values()} == {(None, 1)}
+        pids |= {place.pid for place in workers._idle}
+    assert len(pids) == 1
+    workers._idle[0].close()
+    assert not any(map(_alive, pids))
+
+
+# -- what was finished without being stored, and sweeps at once -----------------------------------
+
+
+def test_what_was_finished_but_not_stored_is_taken_not_computed(store, fake_rows):
+    made = plan("alpha=0,1")
+    first, second = fake_rows(made).values()
+    folder = spool.folder_of(store.path)
+    folder.mkdir()
+    spool.write(folder, first)
+    (folder / f"{second.key}.json").write_text('{"key": ')
+    report, todo = execute.missing(made, store)
+    assert (list(report.rows), list(todo)) == ([first.key], [second.key])
+    assert store.rows() == [first]
+    assert list(folder.iterdir()) == []
+
+
+OTHER_SWEEP = """
+import sys
+from fracbench.harness.run import spool
+with spool.Claims(spool.Path(sys.argv[1])) as claims:
+    print(claims.take(sys.argv[2]), flush=True)
+    sys.stdin.readline()
+"""
+
+
+@pytest.mark.skipif(spool.fcntl is None, reason="this system has no such locks")
+def test_two_sweeps_share_the_work(store, fake_rows, monkeypatch):
+    """A point that another process has claimed is left to it, and its row is taken from the store."""
+    replace_point(monkeypatch, lambda point, finish: finish())
+    made = plan("alpha=0,1,2")
+    theirs, *ours = fake_rows(made).values()
+    folder = spool.folder_of(store.path)
+    folder.mkdir()
+    other = subprocess.Popen(
+        [sys.executable, "-c", OTHER_SWEEP, str(folder), theirs.key],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert other.stdout.readline() == "True\n"
+    with spool.Claims(folder) as claims:
+        assert [claims.take(theirs.key), claims.take(ours[0].key)] == [False, True]
+        claims.release(ours[0].key)
+
+    def on_row(row):
+        if len(store.rows()) == 2:  # both of ours: now the other one finishes, too
+            store.put(theirs)
+            other.communicate("go on\n", timeout=60)
+
+    report = execute.run(made, store, jobs=2, on_row=on_row)
+    assert (report.computed, report.reused, len(report.rows)) == (2, 1, 3)
+    assert report.rows[theirs.key] == theirs
+
+
+@pytest.mark.skipif(spool.fcntl is None, reason="this system has no such locks")
+def test_a_claim_ends_with_its_process(store):
+    folder = spool.folder_of(store.path)
+    with spool.Claims(folder) as claims:
+        other = subprocess.Popen(
+            [sys.executable, "-c", OTHER_SWEEP, str(folder), "abc"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        )
+        other.stdout.readline()
+        assert not claims.take("abc")
+        other.kill()
+        other.communicate(timeout=60)
+        assert claims.take("abc")
+
+
+def test_the_largest_points_go_first(store, monkeypatch):
+    replace_point(monkeypatch, lambda point, finish: finish())
+    made = plan("alpha=0,1,2")
+    boxes = [(0, 20, 0, 20), None, (0, 100, 0, 100)]
+    points = [
+        replace(planned, point=replace(planned.point, box=box))
+        for planned, box in zip(made.points, boxes, strict=True)
+    ]
+    seen = []
+    execute.run(replace(made, points=tuple(points)), store, jobs=1, on_row=seen.append)
+    assert [row.spec["box"] for row in seen] == [None, [0, 100, 0, 100], [0, 20, 0, 20]]
+
+
+# -- what stops a sweep ----------------------------------------------------------------------------
+
+
+def test_workers_end_with_their_parent(tmp_path):
+    """Also while they compute; what they were at is not finished behind the back of the next run."""
+    script = tmp_path / "parent.py"
+    script.write_text(ORPHANS)
+    parent = subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, text=True, cwd=tmp_path)
+    worker = int(parent.stdout.readline())
+    parent.kill()
+    parent.communicate(timeout=60)
+    deadline = time.monotonic() + 30
+    while _alive(worker) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not _alive(worker)
+    assert [path.name for path in (tmp_path / "store.sqlite-spool").iterdir()] == ["claims"]
+
+
+ORPHANS = """
+from fracbench.harness.run import pool as workers, sweep as execute
+from fracbench.harness.run.plan import make_plan
+from fracbench.harness.run.store import Store
+
+def run(path):
+    def compute(job, folder, parent):
+        import os, time
+        os.write(1, f"{os.getpid()}\\n".encode())
+        time.sleep(600)
+    workers._compute = compute
+    with Store(path) as store:
+        execute.run(make_plan(["sequence=synthetic_flat"]), store, jobs=1)
+
+if __name__ == "__main__":
+    run("store.sqlite")
+"""
+
+
+def _alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    status = Path(f"/proc/{pid}/status")
+    return not (status.exists() and "State:\tZ" in status.read_text())
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="signals cannot be blocked here")
+def test_workers_leave_ctrl_c_to_their_parent(store, monkeypatch):
+    """A terminal sends it to all; a worker would answer with a traceback, and its point would be lost."""
+
+    def instead(point, finish):
+        import os
+        import signal
+        import time
+
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.1)
+        return finish()
+
+    replace_point(monkeypatch, instead)
+    report = execute.run(plan("alpha=0,1"), store, jobs=1)
+    assert [row.status for row in report.rows.values()] == ["done", "done"]
+
+
+def test_a_spool_that_cannot_be_written_is_one_clear_error(store, monkeypatch):
+    replace_point(monkeypatch, lambda point, finish: finish())
+
+    def full(folder, row):
+        raise OSError(28, "No space left on device")
+
+    real = workers._compute
+
+    def compute(job, folder, parent):
+        from fracbench.harness.run import pool as workers
+
+        workers.spool.write = full
+        real(job, folder, parent)
+
+    monkeypatch.setattr(workers, "_compute", compute)
+    with pytest.raises(FracbenchError, match="No space left on device; free some space") as caught:
+        execute.run(plan("alpha=0,1"), store, jobs=1)
+    assert str(spool.folder_of(store.path)) in str(caught.value)
+    assert store.rows() == []
+
+
+def test_one_job_means_one_point_at_a_time(store, monkeypatch, tmp_path):
+    log = tmp_path / "log"
+
+    def instead(point, finish):
+        import time
+
+        for what in ("start", "end"):
+            with log.open("a") as file:
+                file.write(f"{what} {point.params['alpha']}\n")
+            time.sleep(0.05)
+        return finish()
+
+    replace_point(monkeypatch, instead)
+    execute.run(plan("alpha=0,0.5,1,1.5"), store, jobs=1)
+    assert [what for what, _ in read_log(log)] == ["start", "end"] * 4
+
+
+def test_workers_that_die_before_they_begin_end_the_sweep(store, monkeypatch):
+    def serve(line, parent):
+        import os
+
+        os._exit(9)
+
+    monkeypatch.setattr(workers, "_serve", serve)
+    monkeypatch.setattr(workers, "_idle", [])
+    with pytest.raises(FracbenchError, match="die before they begin"):
+        execute.run(plan("alpha=0,1"), store, jobs=2)
+    assert store.rows() == []
+
+
+def test_no_points_need_no_workers(store, fake_rows, monkeypatch):
+    made = plan("alpha=0")
+    for row in fake_rows(made).values():
+        store.put(row)
+    monkeypatch.delattr(execute, "_crew")
+    assert execute.run(made, store, jobs=2).reused == 1
