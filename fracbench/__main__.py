@@ -1,6 +1,6 @@
 """``python -m fracbench``."""
 
-from fracbench.cli import console_entry
+from fracbench.commands.cli import console_entry
 
 if __name__ == "__main__":
     console_entry()

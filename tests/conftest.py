@@ -7,15 +7,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fracbench.cli import EXIT_INPUT, main
+from fracbench.commands.cli import EXIT_INPUT, main
 from fracbench.data.datasets import middlebury as middlebury_data
 from fracbench.data.datasets.synthetic.scenes import scene
 from fracbench.data.files import write_flo, write_image
 from fracbench.errors import DataError
+from fracbench.figures import cache as drawing
+from fracbench.figures import style
 from fracbench.harness.check import regression, spread, tolerances
 from fracbench.harness.run.store import Row
 from fracbench.model import SOLVER_VERSION
-from fracbench.report import drawing, style
 
 
 @pytest.fixture(scope="session")

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 import fracbench
-from fracbench import cli
+from fracbench.commands import cli
 from fracbench.errors import InputError
 from fracbench.harness.config import paths as assets
 from fracbench.harness.config.paths import asset, checkout
@@ -94,7 +94,7 @@ def test_the_wheel_works_without_the_checkout(wheel, tmp_path):
     command = ["-m", "fracbench", "sweep", "alpha=0:2:0.1", "sequence=synthetic_flat", "--dry-run"]
     code = (
         f"import sys\nsys.path.insert(0, {str(tmp_path / 'site')!r})\n"
-        "import fracbench\nfrom fracbench.cli import main\n"
+        "import fracbench\nfrom fracbench.commands.cli import main\n"
         f"code = main({command[2:]!r})\nprint(fracbench.__file__, file=sys.stderr)\nsys.exit(code)"
     )
     done = subprocess.run(
@@ -193,8 +193,8 @@ def test_there_is_one_version(project, wheel):
 
 
 def test_the_console_script_is_the_command_line(project, wheel):
-    assert project["project"]["scripts"] == {"fracbench": "fracbench.cli:console_entry"}
-    assert "fracbench = fracbench.cli:console_entry" in metadata(wheel, "entry_points.txt")
+    assert project["project"]["scripts"] == {"fracbench": "fracbench.commands.cli:console_entry"}
+    assert "fracbench = fracbench.commands.cli:console_entry" in metadata(wheel, "entry_points.txt")
     assert callable(cli.console_entry)
 
 

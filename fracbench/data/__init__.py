@@ -1,1 +1,4 @@
-"""Sequences with known flow: Middlebury, rendered scenes, regions of them, and their files."""
+"""Frames and true flows: pairs, regions, files, and the datasets they come from.
+
+Imports `fracbench.errors`.
+"""

@@ -1,1 +1,4 @@
-"""How flows are judged."""
+"""Errors of a flow against the true flow, over all pixels, by class of pixels, and with confidence intervals.
+
+Imports `fracbench.errors` and `fracbench.model.structure`.
+"""

@@ -1,1 +1,4 @@
-"""From configuration to stored results: grid, plan, execution, store, regression."""
+"""The experiment harness: configuration, plan, execution, store, regression check.
+
+Imports `fracbench.data`, `fracbench.methods`, `fracbench.evaluation` and what these may import.
+"""

@@ -13,7 +13,7 @@ from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from statistics import mean
 
-from fracbench import console
+from fracbench.commands import console
 from fracbench.harness.run import provenance
 from fracbench.harness.run import sweep as execute
 from fracbench.harness.run.message import Job

@@ -1,1 +1,4 @@
-"""The registry of methods, ours and peers."""
+"""The methods by name: the paper's, those beyond it, and the peers they are compared with.
+
+Imports `fracbench.model` and `fracbench.errors`.
+"""

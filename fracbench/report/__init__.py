@@ -1,1 +1,4 @@
-"""From stored results to artefacts: tables, figures, pages."""
+"""The paper answered: a verdict on each of its claims, and one HTML page with everything that was found.
+
+Imports `fracbench.studies` and what it may import.
+"""

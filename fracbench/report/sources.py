@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 from fracbench.harness.config.experiment import Experiment, list_experiments, load_experiment
 from fracbench.harness.run.plan import Plan, plan_experiment
 from fracbench.harness.run.store import Row, Store
-from fracbench.report.judging import CONTEXT
+from fracbench.report.claims.judging import CONTEXT
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from fracbench.report.claims import Judged
+    from fracbench.report.claims.claims import Judged
 
 #: Where the store and what is computed for pictures are, below the results folder.
 RUNS = "runs"
@@ -27,7 +27,7 @@ PROTOCOLS = {
     "as_printed": "Algorithms 1 and 2 to the letter: the flow to linearise about is never renewed",
     CONTEXT: "the model with reflecting boundary and 48 pixels of image around each region: not the paper's",
 }
-#: What the names of files end with, by data set and size; see `fracbench.report.base.file_stem`.
+#: What the names of files end with, by data set and size; see `fracbench.studies.base.file_stem`.
 SUFFIXES = ("", "_synthetic", "_small", "_synthetic_small")
 
 
@@ -54,8 +54,8 @@ class Source:
 
     @cached_property
     def table(self) -> pd.DataFrame:
-        """One row a planned point; see `fracbench.report.tables.tidy`."""
-        from fracbench.report.tables import tidy
+        """One row a planned point; see `fracbench.studies.tables.tidy`."""
+        from fracbench.studies.tables import tidy
 
         return tidy(self.plan, self.rows)
 
@@ -143,7 +143,7 @@ class Sources:
     @cached_property
     def judged(self) -> list[Judged]:
         """The paper's claims with their verdicts."""
-        from fracbench.report.claims import evaluate
+        from fracbench.report.claims.claims import evaluate
 
         return evaluate(self.load)
 

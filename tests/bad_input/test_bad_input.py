@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 from fracbench import estimate_flow
-from fracbench.cli import main
+from fracbench.commands.cli import main
 from fracbench.data.datasets import middlebury as middlebury_data
 from fracbench.data.files import write_flo, write_image
 from fracbench.errors import InputError

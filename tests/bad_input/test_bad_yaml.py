@@ -15,7 +15,7 @@ from fracbench.harness.config.experiment import list_experiments, load_experimen
 from fracbench.harness.config.paths import asset
 from fracbench.harness.config.records import refuse_code, require_name
 from fracbench.harness.run import plan
-from fracbench.report.options import require_options
+from fracbench.studies.options import require_options
 
 SCENE = ["alpha=1", "dataset=synthetic", "--dry-run"]
 REGION = "defaults: [{override /sequence: grove2}]\nregion: "

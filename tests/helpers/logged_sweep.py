@@ -11,7 +11,7 @@ import signal
 import sys
 from pathlib import Path
 
-from fracbench.cli import main
+from fracbench.commands.cli import main
 from fracbench.harness.run import pool as workers
 
 

@@ -27,7 +27,7 @@ class Experiment:
     title : str
         Heading of the artefact.
     artefact : str
-        Name of the renderer in `fracbench.report.artefacts`.
+        Name of the renderer in `fracbench.studies.registry`.
     grids : mapping of str to tuple of str
         Overrides in the grammar of the command line, by the part of the artefact that they feed.
     options : mapping

@@ -20,7 +20,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
 
-from fracbench import console
+from fracbench.commands import console
 from fracbench.errors import FracbenchError, InputError
 from fracbench.harness.run import provenance
 from fracbench.harness.run.message import Job

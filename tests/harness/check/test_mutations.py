@@ -25,7 +25,7 @@ from fracbench.harness.run.point import Point
 from fracbench.harness.run.store import Row
 from fracbench.model import SOLVER_VERSION
 from fracbench.model.operators import zero as fractional
-from fracbench.report.tables import tidy
+from fracbench.studies.tables import tidy
 
 Part = tuple[str, dict[str, set[str]]]  # a stored table, and which of its rows
 

@@ -5,7 +5,7 @@ import pytest
 from fracbench.errors import InputError
 from fracbench.harness.config.experiment import MAIN, Experiment, list_experiments, load_experiment
 from fracbench.harness.run.plan import plan_experiment
-from fracbench.report.artefacts import RENDERERS
+from fracbench.studies.registry import RENDERERS
 
 
 def write(work, name, text):

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from fracbench import session
+from fracbench.commands import run as session
 from fracbench.harness.run import spool
 from fracbench.harness.run.store import Row, Store
 

@@ -1,0 +1,4 @@
+"""The command line: its parser, and one module for each kind of command.
+
+May import every other room.
+"""

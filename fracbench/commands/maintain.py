@@ -1,0 +1,221 @@
+"""Commands that look at what is stored: does it still hold, how far does it move, what is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from fracbench.commands import console
+from fracbench.commands.run import STORE, require_workers
+from fracbench.errors import InputError, unknown_name
+
+if TYPE_CHECKING:
+    from fracbench.harness.check.regression import Verdict
+    from fracbench.harness.run.status import Standing
+
+
+def check_references(names: Sequence[str], *, jobs: int) -> bool:
+    """Recompute stored tables and say, cell by cell, what moved.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Stored tables; all if empty.
+    jobs : int
+        Worker processes.
+
+    Returns
+    -------
+    bool
+        Whether all that could be compared hold.
+
+    Raises
+    ------
+    InputError
+        An unknown name, or no table at all.
+    """
+    from fracbench.harness.check import regression, tolerances
+    from fracbench.model import SOLVER_VERSION
+    from fracbench.studies.tables import tidy
+
+    require_workers(jobs)
+    wanted = _stored(names)
+    verdicts = []
+    for name in wanted:
+        plan = regression.plan_of(name)
+        with console.progress(len(plan.unique()) if plan else 0, name) as advance:
+            verdicts.append(regression.check(name, jobs=jobs, tabulate=tidy, on_row=advance))
+        say_verdict(verdicts[-1])
+    compared = [verdict for verdict in verdicts if not verdict.skipped]
+    old = tolerances.outdated((verdict.name for verdict in compared), SOLVER_VERSION)
+    if old:
+        console.note(f"note: the spread of {', '.join(old)} is not that of this solver: check --spread --update")
+    return bool(compared) and not any(verdict.differences for verdict in compared)
+
+
+def say_verdict(verdict: Verdict, word: str = "holds") -> None:
+    """Print what a comparison came to: one line, and one more for each cell that differs."""
+    if verdict.skipped:
+        console.say(f"{verdict.name}: SKIPPED: {verdict.skipped}")
+        return
+    came_to = f"{len(verdict.differences)} DIFFERENCES" if verdict.differences else word
+    console.say(f"{verdict.name}: {came_to} ({verdict.cells} cells compared)")
+    for difference in verdict.differences:
+        console.say(f"  {difference}")
+
+
+def _stored(names: Sequence[str]) -> list[str]:
+    from fracbench.harness.check.regression import stored_tables
+
+    tables = stored_tables()
+    for name in names:
+        if name not in tables:
+            raise unknown_name("stored table", name, tables)
+    if not tables:
+        raise InputError("check: there is no stored table under results/reference")
+    return list(names) or tables
+
+
+def update_references(names: Sequence[str], reason: str, *, jobs: int) -> None:
+    """Rewrite stored tables and record the reason.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Stored tables; all if empty. An experiment that is not stored yet becomes so.
+    reason : str
+        Why the numbers change.
+    jobs : int
+        Worker processes.
+
+    Raises
+    ------
+    InputError
+        Anything that the user can put right; nothing is written then.
+    """
+    from fracbench.harness.check import regression
+    from fracbench.studies.tables import tidy
+
+    require_workers(jobs)
+    for name in list(names) or _stored(names):
+        for path in regression.update(name, reason, jobs=jobs, tabulate=tidy):
+            console.say(f"wrote {path}")
+
+
+def measure_spread(names: Sequence[str], *, jobs: int, update: bool) -> None:
+    """Measure how far stored tables move where nothing has changed, and print it.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Stored tables; all if empty, Middlebury's only where the data can be had.
+    jobs : int
+        Processes at a time.
+    update : bool
+        Write the spreads, and the tolerances that follow from them.
+
+    Raises
+    ------
+    InputError
+        An unknown name, data that cannot be had, no checkout to write to.
+    """
+    import pandas as pd
+
+    from fracbench.harness.check import regression, spread, tolerances
+    from fracbench.studies.tables import tidy
+
+    require_workers(jobs)
+    if update:
+        regression.require_checkout()
+    wanted = list(_stored(names)) if names else [name for name in _stored(()) if regression.plan_of(name)]
+    with console.progress(len(wanted) * (len(spread.CIRCUMSTANCES) + 1), "spread") as advance:
+        measured = spread.measure(wanted, jobs=jobs, tabulate=tidy, on_done=advance)
+    records = [record for name, table in measured.items() for record in spread.summary(name, table)]
+    console.show_table(pd.DataFrame(records), "largest relative differences")
+    for path in tolerances.write(measured, regression.origin()) if update else ():
+        console.say(f"wrote {path}")
+
+
+def show_status(words: Sequence[str], *, as_json: bool) -> None:
+    """Print how far experiments are, and which command goes on.
+
+    Parameters
+    ----------
+    words : sequence of str
+        Names of experiments, all if there are none; and overrides: data set, paths.
+    as_json : bool
+        Print JSON.
+
+    Raises
+    ------
+    InputError
+        An unknown experiment, or a store that cannot be read.
+    """
+    import json
+
+    from fracbench.harness.config.experiment import list_experiments
+    from fracbench.harness.run.plan import plan_experiment
+    from fracbench.harness.run.status import standing
+    from fracbench.harness.run.store import Store
+
+    settings = [word for word in words if "=" in word]
+    names, known = [word for word in words if "=" not in word], list_experiments()
+    for name in names:
+        if name not in known:
+            raise unknown_name("experiment", name, known)
+    path = plan_experiment({}, settings, allow_download=False).config.results / STORE
+    with Store(path, readonly=True) as store:
+        standings = [standing(name, settings, store) for name in names or known]
+        counts = store.counts()
+    if as_json:
+        found = {"store": str(path), "rows": counts, "experiments": [one.as_dict() for one in standings]}
+        console.say(json.dumps(found, indent=2))
+        return
+    rows = ", ".join(f"{count} {status}" for status, count in counts.items() if count) or "no rows"
+    console.say(f"store {path}: {rows}")
+    _say_standings(standings)
+
+
+def _say_standings(standings: Sequence[Standing]) -> None:
+    import pandas as pd
+
+    columns = ["experiment", "dataset", "points", "done", "failed", "stale", "missing"]
+    console.show_table(pd.DataFrame([one.as_dict() for one in standings])[columns])
+    for one in standings:
+        if one.error:
+            console.say(f"{one.experiment}: cannot be planned: {one.error}")
+        elif one.command:
+            why = ", ".join(f"{count} {reason}" for reason, count in one.why.items())
+            console.say(f"{one.experiment}: {one.command}{f'  ({why})' if why else ''}")
+
+
+def compare_runs(first: str, second: str) -> bool:
+    """Compare two stores, or the stored tables of two commits, and print what differs.
+
+    Parameters
+    ----------
+    first, second : str
+        See `fracbench.harness.check.compare.open_side`; the first counts as stored, the second as found.
+
+    Returns
+    -------
+    bool
+        Whether they agree.
+
+    Raises
+    ------
+    InputError
+        A side that is neither, or two of different kinds.
+    """
+    from fracbench.harness.check.compare import compare_sides, open_side
+    from fracbench.harness.check.tolerances import load_tolerances
+
+    stored, found, tolerances = open_side(first), open_side(second), load_tolerances()
+    verdicts = compare_sides(stored, found, tolerances)
+    console.say(f"stored: {stored.title}")
+    console.say(f"found: {found.title}")
+    for column, tolerance in tolerances.columns.items():
+        console.say(f"allowed for {column}: {tolerance}")
+    for verdict in verdicts:
+        say_verdict(verdict, "agree")
+    return not any(verdict.differences for verdict in verdicts)

@@ -1,0 +1,164 @@
+"""The whole paper at once: every table, figure and study, then the verdicts, and the page that shows them all."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fracbench.commands import console
+from fracbench.commands.run import STORE, announce, compute, say_failures
+from fracbench.harness.config.experiment import Experiment, list_experiments, load_experiment
+from fracbench.harness.run.plan import Plan, plan_experiment
+from fracbench.harness.run.store import Store
+
+if TYPE_CHECKING:
+    from fracbench.report.sources import Sources
+
+_FIGURES = tuple(f"fig{number}" for number in range(1, 8))
+#: The paper's experiments in its order, what its claims need besides, and two studies of how it was computed.
+PAPER = ("table1", "table2", *_FIGURES, "regions_lambda_sb", "protocol_study", "solver_study")
+
+
+def report(
+    settings: Sequence[str] = (),
+    *,
+    jobs: int | None = None,
+    small: bool = False,
+    dry_run: bool = False,
+    beyond: bool = False,
+) -> int:
+    """Run what is missing of the paper, judge its claims, and write the HTML page about it.
+
+    Parameters
+    ----------
+    settings : sequence of str, optional
+        Overrides for all grids: data set, paths, parallel.
+    jobs : int, optional
+        Worker processes; the configuration's number by default.
+    small : bool, optional
+        Thin the grids; the names of files say so.
+    dry_run : bool, optional
+        Count points and minutes only.
+    beyond : bool, optional
+        Run the experiments beyond the paper instead of the paper's, and write the page with what is stored.
+
+    Returns
+    -------
+    int
+        How many points are not done.
+
+    Raises
+    ------
+    InputError
+        Anything that the user can put right.
+    """
+    from fracbench.harness.run.pool import side_by_side
+    from fracbench.report.page.beyond import EXPERIMENTS
+    from fracbench.report.page.gallery import compute_flow, missing_flows
+    from fracbench.report.page.html import write_report
+    from fracbench.report.sources import Sources
+    from fracbench.studies.registry import require_renderer
+
+    start = plan_experiment({}, settings, allow_download=not dry_run)
+    for notice in start.notices:
+        console.note(f"note: {notice}")
+    if start.dataset == "synthetic":  # decided once: where there is no network, each look for data costs seconds
+        settings = [*(token for token in settings if not token.startswith("dataset=")), "dataset=synthetic"]
+    wanted = EXPERIMENTS if beyond else PAPER
+    experiments = {name: load_experiment(name) for name in wanted if name in list_experiments()}
+    plans = {
+        name: plan_experiment(experiment.grids, settings, allow_download=not dry_run, small=small)
+        for name, experiment in experiments.items()
+    }
+    workers = start.config.parallel.jobs if jobs is None else jobs
+    if dry_run:
+        announce(_together(plans), start.config.results, workers)
+        return 0
+    for experiment in experiments.values():
+        require_renderer(experiment)
+    done = compute(_together(plans), "report", workers)
+    console.say(f"{len(done.rows)} points, {done.computed} computed")
+    sources = Sources(start.config.results, settings, small, plans)
+    drawing = [(_draw, experiment, plans[name], Path.cwd()) for name, experiment in experiments.items()]
+    flows = [(compute_flow, *flow) for flow in missing_flows(sources)]
+    finished = side_by_side(_call, [*drawing, *flows], workers, "all points are stored")
+    verdicts = [] if beyond else write_verdicts(sources)  # which are the paper's alone; meanwhile others draw
+    for name, plan in plans.items():
+        files = next(finished)
+        folders = ", ".join(dict.fromkeys(str(path.parent) for path in files))
+        console.say(f"{name}: {len(plan.unique())} points, wrote {len(files)} files in {folders}")
+    with console.progress(len(flows), "flows") as advance:
+        for _ in finished:
+            advance()
+    say_failures(done)
+    for line in verdicts:
+        console.say(line)
+    console.say(f"wrote {write_report(sources)}")
+    return len(done.failed)
+
+
+def _call(function: Callable[..., Any], *arguments: Any) -> Any:
+    return function(*arguments)
+
+
+def _draw(experiment: Experiment, plan: Plan, folder: Path) -> list[Path]:
+    """Write the artefact of an experiment whose points are stored; return its files, relative to `folder`."""
+    from fracbench.studies.registry import render
+
+    os.chdir(folder)  # a process of joblib's may have been started in another one
+    with Store(plan.config.results / STORE, readonly=True) as store:
+        rows = store.get_many(plan.unique())
+    return render(experiment, plan, rows, plan.config.results).files
+
+
+def _together(plans: Mapping[str, Plan]) -> Plan:
+    """Return one plan with the points of all."""
+    points = tuple(planned for plan in plans.values() for planned in plan.points)
+    return replace(next(iter(plans.values())), points=points)
+
+
+def judge(settings: Sequence[str] = (), *, small: bool = False, readme: Path | None = None) -> list[str]:
+    """Judge the paper's claims by what is stored, print and write the verdicts; nothing is computed.
+
+    Parameters
+    ----------
+    settings : sequence of str, optional
+        Overrides for all grids: data set, paths.
+    small : bool, optional
+        Judge the thinned grids.
+    readme : Path, optional
+        A Markdown file whose block between the answer's markers is renewed.
+
+    Returns
+    -------
+    list of str
+        How many claims hold under each protocol, and the files written.
+
+    Raises
+    ------
+    InputError
+        Anything that the user can put right.
+    """
+    from fracbench.report.claims import answer, claims
+    from fracbench.report.sources import Sources
+
+    sources = Sources(plan_experiment({}, settings, allow_download=False).config.results, settings, small)
+    verdicts = claims.overview_table(sources.judged).drop(columns=["quotation", "place"])
+    console.show_table(verdicts, "The paper's claims")
+    lines = [*claims.count_lines(sources.judged), *write_verdicts(sources)]
+    if readme is not None:
+        lines.append(f"wrote {answer.renew(readme, sources)}")
+    return lines
+
+
+def write_verdicts(sources: Sources) -> list[str]:
+    """Write the verdicts and the picture that sums them up; return what was written, a line a file."""
+    from fracbench.report.claims import answer, claims
+    from fracbench.studies.tables import ensure_folder
+
+    folder = ensure_folder(sources.results / "tables")
+    files = claims.write_claims(sources.judged, folder / f"claims{sources.suffix}")
+    return [f"wrote {path}" for path in (*files, *answer.write_answer(sources))]

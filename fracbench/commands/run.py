@@ -1,0 +1,374 @@
+"""What a command does from beginning to end: plan, run, store, draw, and say so."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fracbench.commands import console
+from fracbench.errors import InputError
+from fracbench.harness.config.experiment import Experiment
+from fracbench.harness.config.grid import parse_overrides
+from fracbench.harness.run import sweep as execute
+from fracbench.harness.run.plan import Plan, make_plan, plan_experiment
+from fracbench.harness.run.store import Store
+
+if TYPE_CHECKING:
+    from fracbench.model.coarse_to_fine import FlowResult
+    from fracbench.studies.base import Artefact
+
+STORE = Path("runs") / "store.sqlite"
+
+
+@dataclass
+class Conducted:
+    """What `conduct` came to: the plan, and how many of its points failed."""
+
+    plan: Plan
+    failed: int = 0
+
+
+def conduct(
+    experiment: Experiment,
+    settings: Sequence[str] = (),
+    *,
+    jobs: int | None = None,
+    dry_run: bool = False,
+    rerun_failed: bool = False,
+    small: bool = False,
+) -> Conducted:
+    """Run what is missing of an experiment and write its artefact.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Grids and artefact.
+    settings : sequence of str, optional
+        Overrides for all grids: data set, paths, parallel.
+    jobs : int, optional
+        Worker processes; the configuration's number by default.
+    dry_run : bool, optional
+        Count points and minutes only.
+    rerun_failed : bool, optional
+        Compute points again that failed before.
+    small : bool, optional
+        Thin the grids; the artefact's name says so.
+
+    Returns
+    -------
+    Conducted
+        The plan and the number of failed points.
+
+    Raises
+    ------
+    InputError
+        Anything that the user can put right.
+    """
+    if jobs is not None:
+        require_workers(jobs)
+    plan = plan_experiment(experiment.grids, settings, allow_download=not dry_run, small=small)
+    for notice in plan.notices:
+        console.note(f"note: {notice}")
+    results, workers = plan.config.results, jobs or plan.config.parallel.jobs
+    if dry_run:
+        announce(plan, results, workers, rerun_failed=rerun_failed)
+        return Conducted(plan)
+    report, artefact = perform(experiment, plan, workers, rerun_failed=rerun_failed)
+    _say_computed(report)
+    for title, view in artefact.views:
+        console.show_table(view, title)
+    for line in artefact.lines:
+        console.say(line)
+    _say_settings(plan)
+    for path in artefact.files:
+        console.say(f"wrote {path}")
+    say_failures(report)
+    return Conducted(plan, len(report.failed))
+
+
+def perform(
+    experiment: Experiment, plan: Plan, jobs: int, *, rerun_failed: bool = False
+) -> tuple[execute.Report, Artefact]:
+    """Compute what is missing of an experiment, under a progress bar, and write its artefact.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Grids and artefact.
+    plan : Plan
+        Its points.
+    jobs : int
+        Worker processes.
+    rerun_failed : bool, optional
+        Compute points again that failed before.
+
+    Returns
+    -------
+    report : fracbench.harness.run.sweep.Report
+        What was computed.
+    artefact : fracbench.studies.base.Artefact
+        What was written.
+
+    Raises
+    ------
+    InputError
+        An unknown artefact, or a folder that cannot be written.
+    """
+    from fracbench.studies.registry import render, require_renderer
+
+    require_renderer(experiment)
+    report = compute(plan, experiment.name, jobs, rerun_failed=rerun_failed)
+    return report, render(experiment, plan, report.rows, plan.config.results)
+
+
+def compute(plan: Plan, name: str, jobs: int, *, rerun_failed: bool = False) -> execute.Report:
+    """Compute what is missing of a plan, under a progress bar of that name; see `perform`."""
+    from fracbench.studies.tables import ensure_folder
+
+    require_workers(jobs)
+    results = plan.config.results
+    ensure_folder(results / STORE.parent)
+    with Store(results / STORE) as store:
+        _, todo = execute.missing(plan, store, rerun_failed=rerun_failed)
+        with console.progress(len(todo), name) as advance:
+            return execute.run(plan, store, jobs=jobs, rerun_failed=rerun_failed, on_row=advance)
+
+
+def require_workers(jobs: int) -> None:
+    """Refuse a number of worker processes below 1."""
+    if jobs < 1:
+        raise InputError(f"--jobs must be at least 1, got {jobs}")
+
+
+def announce(plan: Plan, results: Path, jobs: int, *, rerun_failed: bool = False) -> None:
+    """Say how many points a plan has, how many are stored, and the minutes that the others take."""
+    from fracbench.harness.run.cost import expected_seconds
+
+    with Store(results / STORE, readonly=True) as store:
+        report, todo = execute.missing(plan, store, rerun_failed=rerun_failed)
+        seconds, measured = expected_seconds(todo.values(), store.rows("done"), jobs)
+    basis = "from stored points of the same methods" if measured else "rough: nothing like it is stored yet"
+    console.say(
+        f"{len(plan.unique())} points, {report.reused} stored, {len(todo)} to compute on {jobs} processes: "
+        f"about {seconds / 60:.1f} minutes ({basis})"
+    )
+    _say_settings(plan)
+
+
+def _say_computed(report: execute.Report) -> None:
+    if report.computed:
+        why = ", ".join(f"{count} {reason}" for reason, count in sorted(report.reasons.items()))
+        console.note(f"{report.computed} points computed ({why}), {report.reused} taken from the store")
+    elif report.rows:
+        console.note(f"nothing to compute: all {report.reused} points are in the store")
+
+
+def _say_settings(plan: Plan) -> None:
+    config = plan.config
+    shared = {planned.labels["protocol"] for planned in plan.points}
+    boundaries = {planned.point.params.get("boundary") for planned in plan.points} - {None}
+    settings = [f"dataset {plan.dataset}"]
+    if shared:
+        settings.append(f"protocol {', '.join(sorted(shared))}")
+    if boundaries:
+        settings.append(f"boundary {', '.join(sorted(map(str, boundaries)))}")
+    if config.region is not None:
+        settings.append(f"context {config.context} px")
+    if plan.points:
+        settings.append("other parameters in the CSV")
+    console.say(f"settings: {'; '.join(settings)}")
+
+
+def say_failures(report: execute.Report) -> None:
+    """Say how many points are not done, if any, and how to try them again."""
+    if report.failed:
+        console.complain(
+            f"{len(report.failed)} of {len(report.rows)} points are not done (first: {report.failed[0].error}); "
+            "the same command with --rerun failed tries them again"
+        )
+
+
+def run_one(tokens: Sequence[str]) -> None:
+    """Compute one configured flow and write it below ``results/runs/flows``.
+
+    Parameters
+    ----------
+    tokens : sequence of str
+        Overrides; they must stand for one point.
+
+    Raises
+    ------
+    InputError
+        More than one point, or anything else that the user can put right.
+    """
+    if parse_overrides(tokens).size > 1:
+        raise InputError(f"run takes one point, not a grid ({' '.join(tokens)}); use sweep")
+    plan = make_plan(tokens)
+    if len(plan.points) > 1:
+        raise InputError(f"run takes one point, {' '.join(tokens)} stands for {len(plan.points)}; use sweep")
+    for notice in plan.notices:
+        console.note(f"note: {notice}")
+    from fracbench.harness.run.compute_point import point_arrays
+    from fracbench.methods.registry import get_method
+    from fracbench.model.params import FlowParams
+    from fracbench.studies.tables import ensure_folder
+
+    planned = plan.points[0]
+    point = planned.point
+    folder = ensure_folder(plan.config.results / "runs" / "flows")
+    frame0, frame1, truth, inner = point_arrays(point, plan.folder)
+    result = get_method(point.method).estimate(frame0, frame1, FlowParams().replace(point.params))
+    flow = result.flow[(slice(None), *inner)]
+    place = planned.labels["sequence" if point.box is None else "region"]
+    name = f"{place}_{point.method}_{point.key[:8]}"
+    _say_result(result)
+    if truth is not None:
+        say_errors(flow, truth[(slice(None), *inner)])
+    output = folder / f"{name}.flo"
+    write_flow_and_picture(flow, output, picture_beside(output))
+    _say_settings(plan)
+
+
+def estimate_files(
+    frame0: Path,
+    frame1: Path,
+    output: Path,
+    *,
+    color: Path | None = None,
+    truth: Path | None = None,
+    method: str | None = None,
+    threads: int = 1,
+    overrides: Sequence[str] = (),
+) -> None:
+    """Compute the flow between two image files and write it.
+
+    Parameters
+    ----------
+    frame0, frame1 : Path
+        Images.
+    output : Path
+        ``.flo``, or ``.png`` in KITTI's format.
+    color : Path, optional
+        Colour picture; beside `output` by default.
+    truth : Path, optional
+        True flow; its errors are printed.
+    method : str, optional
+        Name in the registry.
+    threads : int, optional
+        Threads of the solver.
+    overrides : sequence of str, optional
+        Parameters as ``KEY=VALUE``, on top of those of ``protocol=NAME``.
+
+    Raises
+    ------
+    InputError
+        Anything that the user can put right; nothing is written then.
+    """
+    from fracbench.api import DEFAULT_METHOD, estimate_flow
+    from fracbench.data.files import read_flow, read_image
+    from fracbench.harness.config.compose import protocol_settings
+    from fracbench.model.params import FlowParams
+
+    grid = parse_overrides(overrides)
+    if grid.size > 1:
+        raise InputError(f"estimate takes one value a parameter ({' '.join(overrides)}); use sweep for grids")
+    given = dict(next(grid.points()))
+    protocol = given.pop("protocol", "")
+    brought, preset = protocol_settings(protocol) if protocol else (None, {})  # the defaults are `recommended`
+    values: dict[str, Any] = {**preset, **given}
+    FlowParams().replace(values)
+    picture = color or picture_beside(output)
+    _require_outputs(output, picture, [path for path in (frame0, frame1, truth) if path is not None])
+    first, second = read_image(frame0), read_image(frame1)
+    expected = None if truth is None else read_flow(truth)
+    if expected is not None and expected.shape[1:] != first.shape[:2]:
+        raise InputError(
+            f"{truth}: the true flow is {expected.shape[2]} x {expected.shape[1]}, the frames are "
+            f"{first.shape[1]} x {first.shape[0]} (width x height)"
+        )
+    result = estimate_flow(first, second, method=method or brought or DEFAULT_METHOD, threads=threads, **values)
+    changes = " ".join(token for token in overrides if token != f"protocol={protocol}")
+    preset_name = f"preset {protocol or 'recommended'}"
+    _say_result(result, f"{preset_name} with {changes}" if changes else preset_name)
+    if expected is not None:
+        say_errors(result.flow, expected)
+    write_flow_and_picture(result.flow, output, picture)
+
+
+def _require_outputs(output: Path, picture: Path, inputs: Sequence[Path]) -> None:
+    """Refuse, before anything is computed, what could not be written or would replace a file in use."""
+    from PIL import Image
+
+    if output.suffix.lower() not in (".flo", ".png"):
+        raise InputError(f"{output}: a flow is written as .flo or as .png (KITTI), not as {output.suffix!r}")
+    if picture.suffix.lower() not in Image.registered_extensions():
+        raise InputError(f"{picture}: no picture format has the suffix {picture.suffix!r}; use .png")
+    taken = {path.resolve() for path in inputs}
+    for path in (output, picture):
+        # Path.is_dir raises where a parent may not be entered
+        if not (os.path.isdir(path.parent) and os.access(path.parent, os.W_OK)):  # noqa: PTH112
+            raise InputError(f"{path}: {str(path.parent)!r} is not a folder that can be written to")
+        if path.resolve() in taken:
+            raise InputError(f"{path}: the command names this file twice; choose another output")
+        taken.add(path.resolve())
+
+
+def _say_result(result: FlowResult, preset: str = "") -> None:
+    for notice in result.notices:
+        console.note(f"note: {notice}")
+    if result.stop_reason == "diverged":
+        raise InputError("the computation diverged: the flow is not finite; smaller lambda or theta may help")
+    iterations = sum(map(sum, result.iterations))
+    seconds = sum(result.seconds.values())
+    using = f"{result.method} ({preset})" if preset else result.method
+    console.say(f"{using}: {iterations} iterations, {result.stop_reason}, {seconds:.2f} s")
+
+
+def say_errors(flow: Any, truth: Any) -> None:
+    """Print the errors of a flow, in radians, pixels, degrees and shares.
+
+    Parameters
+    ----------
+    flow, truth : ndarray, shape (2, H, W)
+        Estimate and truth.
+    """
+    from fracbench.evaluation.metrics import accuracy, endpoint_error, flow_errors, robustness
+
+    errors = flow_errors(flow, truth)
+    distances = endpoint_error(flow, truth)
+    degrees, spread = errors.degrees
+    console.say(
+        f"AAE {errors.aae:.4f} rad ({degrees:.2f} deg), SDAE {errors.sdae:.4f} rad ({spread:.2f} deg), "
+        f"AEPE {errors.aepe:.4f} px, R1.0 {robustness(distances, 1.0):.2f} %, "
+        f"A95 {accuracy(distances, 95):.3f} px; {errors.n_pixels} pixels scored, "
+        f"{errors.n_unknown} of unknown truth, {errors.n_nonfinite} not finite"
+    )
+
+
+def picture_beside(flow: Path) -> Path:
+    """Return where the colour picture of a flow goes unless told otherwise: ``NAME.color.png`` beside it."""
+    return flow.with_name(f"{flow.stem}.color.png")
+
+
+def write_flow_and_picture(flow: Any, path: Path, picture: Path) -> None:
+    """Write a flow and its colour picture.
+
+    Parameters
+    ----------
+    flow : ndarray, shape (2, H, W)
+        Flow.
+    path : Path
+        ``.flo`` or KITTI ``.png``.
+    picture : Path
+        The picture.
+    """
+    from fracbench.data.files import write_flow, write_image
+    from fracbench.figures.flowcolor import flow_to_color
+
+    write_flow(path, flow)
+    write_image(picture, flow_to_color(flow))
+    console.say(f"wrote {path}")
+    console.say(f"wrote {picture}")

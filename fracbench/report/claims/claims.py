@@ -1,0 +1,234 @@
+"""The paper's testable sentences and their verdicts: computed from stored points, never typed."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fracbench.errors import InputError, unknown_name
+from fracbench.harness.config.paths import asset
+from fracbench.report.claims import region_rules
+from fracbench.report.claims import table_rules as claim_rules
+from fracbench.report.claims.judging import RULES, UNKNOWN, VERDICTS, Tables, UnjudgeableError
+from fracbench.studies.tables import write_text
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["EXPERIMENTS", "VERDICTS", "Claim", "Judged", "Verdict", "evaluate", "load_claims", "render_claims"]
+
+#: What the rules look at.
+EXPERIMENTS = ("table2", "fig2", "fig3", "fig4", "fig6", "fig7", "regions_lambda_sb")
+_MODULES = (claim_rules, region_rules)  # imported for the rules they register
+_KEYS = {"id", "quote", "place", "test", "rule", "args"}
+_INTRODUCTION = (
+    "Each sentence of the paper that a computation can judge, and what became of it. Verdicts are computed by "
+    "`fracbench claims` from stored points; a sentence about several cases holds in part if it does so in at "
+    "least half of them, and cannot be judged where points are missing or failed. Protocols: conf/protocol and "
+    "docs/protocol.md; under `published` and `as_printed` the fractional u-step is solved exactly, so that the "
+    "verdicts are about the model and not about a sweep that diverges (experiment `solver_study`). The regions' "
+    "boxes are ours: the paper shows its own in a picture only."
+)
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A sentence of the paper and how it is judged.
+
+    Attributes
+    ----------
+    id : str
+        Short name.
+    quote : str
+        The paper's words.
+    place : str
+        Section, figure or table, and line of the LaTeX source.
+    test : str
+        How it is judged, one sentence.
+    rule : str
+        Name in `fracbench.report.claims.judging.RULES`.
+    args : mapping
+        What the rule is told.
+    """
+
+    id: str
+    quote: str
+    place: str
+    test: str
+    rule: str
+    args: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What became of a claim under one protocol (or variant): one of `VERDICTS`, and the numbers behind it."""
+
+    protocol: str
+    verdict: str
+    evidence: str
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A claim with its verdicts, the reference's first."""
+
+    claim: Claim
+    verdicts: tuple[Verdict, ...]
+
+
+def load_claims(path: Path | None = None) -> list[Claim]:
+    """Read the claims.
+
+    Parameters
+    ----------
+    path : Path, optional
+        YAML file; the project's ``results/claims.yaml`` by default.
+
+    Returns
+    -------
+    list of Claim
+        In the order of the file.
+
+    Raises
+    ------
+    InputError
+        Not YAML, a missing or unknown key, an unknown rule, an id given twice.
+    """
+    import yaml
+
+    path = path or asset("results/claims.yaml")
+    try:
+        raw = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as exc:
+        raise InputError(f"{path}: cannot be read as YAML: {' '.join(str(exc).split())}") from exc
+    if not isinstance(raw, list) or not all(isinstance(row, dict) for row in raw):
+        raise InputError(f"{path}: must be a list of claims, each with the keys {', '.join(sorted(_KEYS))}")
+    claims = [_claim(row, f"{path}: claim {i}") for i, row in enumerate(raw, 1)]
+    for name, count in Counter(claim.id for claim in claims).items():
+        if count > 1:
+            raise InputError(f"{path}: the id {name!r} is given {count} times")
+    return claims
+
+
+def _claim(row: Mapping[Any, Any], where: str) -> Claim:
+    for key in row:
+        if key not in _KEYS:
+            raise unknown_name("key", str(key), _KEYS, where)
+    if missing := sorted(_KEYS - {"args"} - set(row)):
+        raise InputError(f"{where}: {', '.join(missing)} is missing")
+    if row["rule"] not in RULES:
+        raise unknown_name("rule", str(row["rule"]), RULES, where)
+    texts = {key: str(row[key]) for key in _KEYS - {"args"}}
+    return Claim(**texts, args=dict(row.get("args") or {}))
+
+
+def evaluate(load: Callable[[str], pd.DataFrame | None], claims: Sequence[Claim] | None = None) -> list[Judged]:
+    """Judge the claims.
+
+    Parameters
+    ----------
+    load : callable
+        Gives the tidy table of an experiment (`fracbench.studies.tables.tidy`) by name, None if there is none;
+        asked for the names in `EXPERIMENTS`.
+    claims : sequence of Claim, optional
+        The project's by default.
+
+    Returns
+    -------
+    list of Judged
+        A verdict for each protocol; for claims on alpha one more, the reference with ``reflect`` and context.
+    """
+    tables = Tables(load)
+    return [
+        Judged(claim, tuple(_judge(claim, tables, setting) for setting in RULES[claim.rule].settings))
+        for claim in (load_claims() if claims is None else claims)
+    ]
+
+
+def _judge(claim: Claim, tables: Tables, setting: str) -> Verdict:
+    try:
+        verdict, evidence = RULES[claim.rule].judge(tables, setting, **claim.args)
+    except UnjudgeableError as exc:
+        return Verdict(setting, UNKNOWN, f"{str(exc)[0].upper()}{str(exc)[1:]}.")
+    return Verdict(setting, verdict, evidence)
+
+
+def render_claims(judged: Sequence[Judged]) -> tuple[str, str]:
+    """Lay verdicts out for readers and for programs.
+
+    Parameters
+    ----------
+    judged : sequence of Judged
+        From `evaluate`.
+
+    Returns
+    -------
+    markdown : str
+        Counts, a table with a row a claim, and the evidence below.
+    csv : str
+        A row a claim and protocol: ``id, quote, place, test, protocol, verdict, evidence``.
+    """
+    import pandas as pd
+
+    overview = overview_table(judged)
+    parts = [
+        "# The paper's claims\n",
+        _INTRODUCTION + "\n",
+        "\n".join(f"- {line}" for line in count_lines(judged)),
+    ]
+    parts += ["\n" + str(overview.to_markdown(index=False, disable_numparse=True)) + "\n", "## Evidence\n"]
+    for item in judged:
+        parts.append(
+            f"### {item.claim.id}\n\n> {item.claim.quote}\n\n{item.claim.place}. Test: {item.claim.test}\n"
+        )
+        parts.append("\n".join(f"- {v.protocol}: **{v.verdict}**. {v.evidence}" for v in item.verdicts) + "\n")
+    records = [
+        {
+            **{name: getattr(item.claim, name) for name in ("id", "quote", "place", "test")},
+            **{name: getattr(verdict, name) for name in ("protocol", "verdict", "evidence")},
+        }
+        for item in judged
+        for verdict in item.verdicts
+    ]
+    return "\n".join(parts), str(pd.DataFrame(records).to_csv(index=False, lineterminator="\n"))
+
+
+def overview_table(judged: Sequence[Judged]) -> pd.DataFrame:
+    """Return a row a claim: quotation, place, and the verdict under each protocol (empty where none applies)."""
+    import pandas as pd
+
+    protocols = list(dict.fromkeys(v.protocol for item in judged for v in item.verdicts))
+    rows = []
+    for item in judged:
+        given = {v.protocol: v.verdict for v in item.verdicts}
+        words = {"claim": item.claim.id, "quotation": item.claim.quote, "place": item.claim.place}
+        rows.append({**words, **{protocol: given.get(protocol, "") for protocol in protocols}})
+    return pd.DataFrame(rows)
+
+
+def count_lines(judged: Sequence[Judged]) -> list[str]:
+    """Say for each protocol how many claims got which verdict."""
+    counts: dict[str, Counter[str]] = {}
+    for item in judged:
+        for verdict in item.verdicts:
+            counts.setdefault(verdict.protocol, Counter())[verdict.verdict] += 1
+    return [
+        f"{protocol}: of {sum(count.values())} claims "
+        + ", ".join(f"{count[verdict]} {_PLURALS[verdict]}" for verdict in VERDICTS if count[verdict])
+        for protocol, count in counts.items()
+    ]
+
+
+_PLURALS = dict(zip(VERDICTS, ("hold", "hold in part", "do not hold", "cannot be judged"), strict=True))
+
+
+def write_claims(judged: Sequence[Judged], stem: Path) -> list[Path]:
+    """Write verdicts as ``stem.csv`` and ``stem.md``, atomically; return the files."""
+    markdown, csv = render_claims(judged)
+    return [
+        write_text(csv, stem.with_name(f"{stem.name}.csv")),
+        write_text(markdown, stem.with_name(f"{stem.name}.md")),
+    ]

@@ -1,0 +1,207 @@
+"""The rules by which the paper's sentences are judged: tidy tables in, a verdict and its numbers out.
+
+A rule sees the tables through `Tables`, which raises `UnjudgeableError` where a point is missing or failed:
+what is not there never holds. A sentence about several cases (errors, regions, curves) holds if it does in
+each, and in part if it does so, wholly or in part, in at least half of them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fracbench.studies.base import FLAT
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+HOLDS, IN_PART, FAILS, UNKNOWN = "holds", "holds in part", "does not hold", "cannot be judged"
+VERDICTS = (HOLDS, IN_PART, FAILS, UNKNOWN)
+PROTOCOLS = ("reference", "published", "as_printed")
+#: The reference under ``boundary=reflect`` and with pixels around the region: no pull to 0 at its edges.
+CONTEXT = "reference, reflect + context"
+ERRORS = ("aae", "aepe")
+#: Figure and caption's lambda_SB of each region.
+REGIONS: Mapping[str, tuple[str, float]] = {
+    "grove2_A": ("fig6", 5.0),
+    "grove2_B": ("fig6", 7.0),
+    "urban3_A": ("fig6", 1.0),
+    "hydrangea_A": ("fig7", 3.0),
+    "hydrangea_B": ("fig7", 10.0),
+    "rubberwhale_A": ("fig7", 2.0),
+}
+SIGNIFICANT = 0.05  # an error this much smaller counts as significantly smaller
+MORE_SWEEPS = 0.25  # this many more inner iterations still count as nearly the fewest
+CLOSE = 1.5  # within this factor of 2/theta counts as close to it
+NEAR = f"within {100 * FLAT:g} %"
+
+Judgement = tuple[str, str]
+"""Verdict and evidence."""
+
+Rule = Callable[..., Judgement]
+"""``rule(tables, setting, **args)``."""
+
+
+class UnjudgeableError(Exception):
+    """The tables do not hold what a rule needs; the message says what."""
+
+
+class Tables:
+    """The tidy tables of the experiments, each loaded once.
+
+    Parameters
+    ----------
+    load : callable
+        Gives the table of an experiment (`fracbench.studies.tables.tidy`) by name, or None.
+    """
+
+    def __init__(self, load: Callable[[str], pd.DataFrame | None]) -> None:
+        self._load = load
+        self._known: dict[str, pd.DataFrame | None] = {}
+
+    def points(self, experiment: str, needs: Sequence[str] = ERRORS, **where: Any) -> pd.DataFrame:
+        """Return the points of an experiment with these labels or parameters, all of them finished.
+
+        Parameters
+        ----------
+        experiment : str
+            Its name.
+        needs : sequence of str, optional
+            Columns that must hold a number in each row.
+        **where
+            Values by column.
+
+        Returns
+        -------
+        pandas.DataFrame
+            At least one row.
+
+        Raises
+        ------
+        UnjudgeableError
+            No such points, points on synthetic scenes, points that are missing or failed.
+        """
+        if experiment not in self._known:
+            self._known[experiment] = self._load(experiment)
+        table = self._known[experiment]
+        if table is None:
+            raise UnjudgeableError(f"there are no results of {experiment}")
+        chosen = np.ones(len(table), bool)
+        for column, value in where.items():
+            if column not in table:
+                raise UnjudgeableError(f"{experiment} has no column {column}")
+            chosen &= (table[column] == value).to_numpy(bool)
+        table = table[chosen]
+        if table.empty:
+            wanted = ", ".join(f"{column} {value}" for column, value in where.items())
+            raise UnjudgeableError(f"{experiment} has no points with {wanted}")
+        if (table["dataset"] != "middlebury").any():
+            raise UnjudgeableError(
+                f"{experiment} was computed on synthetic scenes, the sentence is about Middlebury's"
+            )
+        finite = np.isfinite(table[list(needs)].to_numpy(np.float64, na_value=np.nan)).all(axis=1)
+        bad = int((~(finite & (table["status"] == "done").to_numpy())).sum())
+        if bad:
+            raise UnjudgeableError(f"{bad} of {len(table)} points of {experiment} are missing or failed")
+        return table
+
+
+@dataclass(frozen=True)
+class Registered:
+    """A rule, and the settings its sentences are judged under."""
+
+    judge: Rule
+    settings: tuple[str, ...]
+
+
+RULES: dict[str, Registered] = {}
+
+
+def rule(*settings: str) -> Callable[[Rule], Rule]:
+    """Register a function as the rule of its name; `settings` are the protocols and variants it can judge."""
+
+    def register(function: Rule) -> Rule:
+        RULES[function.__name__] = Registered(function, settings)
+        return function
+
+    return register
+
+
+def combine(verdicts: Sequence[str]) -> str:
+    """Return the verdict on all cases: see the module's first lines."""
+    if all(verdict == HOLDS for verdict in verdicts):
+        return HOLDS
+    return IN_PART if 2 * sum(verdict != FAILS for verdict in verdicts) >= len(verdicts) else FAILS
+
+
+def weaker(first: str, second: str) -> str:
+    """Return the verdict on a case that needs both."""
+    return max(first, second, key=VERDICTS.index)
+
+
+def grade(whole: bool, part: bool) -> str:
+    """Return the verdict on one case."""
+    return HOLDS if whole else IN_PART if part else FAILS
+
+
+def curves(table: pd.DataFrame, family: str, x: str, least: int = 3) -> Iterator[tuple[float, pd.DataFrame]]:
+    """Yield the curves of a figure, sorted along `x`; one with fewer than `least` points cannot be judged."""
+    for value, part in table.groupby(family):
+        curve = part.drop_duplicates([x]).sort_values(x)
+        if len(curve) < least:
+            raise UnjudgeableError(f"the curve of {family} {value:g} has {len(curve)} points")
+        yield value, curve
+
+
+def region_curve(tables: Tables, setting: str, region: str) -> pd.DataFrame:
+    """Return the errors of a region against alpha at the caption's lambda_SB, sorted by alpha from 0 to 2."""
+    figure, lambda_sb = REGIONS[region]
+    where: dict[str, Any] = {"part": "main", "protocol": setting, "lambda_sb": lambda_sb}
+    if setting == CONTEXT:
+        where = {"part": "context"}
+    elif setting != "reference":
+        where = {"part": "protocols", "protocol": setting}
+    curve = tables.points(figure, region=region, **where).sort_values("alpha")
+    alphas = curve["alpha"].to_numpy()
+    if len(alphas) < 2 or alphas[0] > 0.0 or alphas[-1] < 2.0 or np.diff(alphas).max() > 0.25:
+        raise UnjudgeableError(f"{figure} has {len(alphas)} values of alpha on {region}: not all of 0 to 2")
+    return curve
+
+
+def near_best(curve: pd.DataFrame, metric: str, x: str) -> np.ndarray[Any, Any]:
+    """Return the values of `x` whose error is at most `FLAT` above the smallest."""
+    near: np.ndarray[Any, Any] = curve[x][curve[metric] <= (1.0 + FLAT) * curve[metric].min()].to_numpy()
+    return near
+
+
+def minimum(curve: pd.DataFrame, metric: str, x: str) -> float:
+    """Return where a curve is smallest."""
+    return float(curve.loc[curve[metric].idxmin(), x])
+
+
+def nearest_row(curve: pd.DataFrame, x: str, value: float) -> pd.Series:
+    """Return the row whose `x` is nearest to `value` by ratio."""
+    return curve.iloc[int(np.abs(np.log(curve[x].to_numpy() / value)).argmin())]
+
+
+def span(values: Sequence[float] | np.ndarray[Any, Any]) -> str:
+    """Return the range of some numbers as text."""
+    low, high = f"{min(values):.3g}", f"{max(values):.3g}"
+    return low if low == high else f"{low} to {high}"
+
+
+def percent(ratio: float) -> str:
+    """Return a ratio as the change it stands for, e.g. ``+3.1 %``; a large one as such, e.g. ``36.7 times``."""
+    return f"{100.0 * (ratio - 1.0):+.1f} %" if ratio < 2.0 else f"{ratio:.3g} times"
+
+
+def two_over_theta(table: pd.DataFrame) -> float:
+    """Return 2/theta for points that share a theta."""
+    theta = table["theta"].unique()
+    if len(theta) != 1 or not math.isfinite(theta[0]):
+        raise UnjudgeableError("the points differ in theta")
+    return 2.0 / float(theta[0])

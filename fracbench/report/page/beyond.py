@@ -1,0 +1,53 @@
+"""What the report says of the experiments beyond the paper: from their files, as they were written last."""
+
+from __future__ import annotations
+
+from fracbench.report.page.elements import Block, Details, Heading, Missing, Section, Text, demoted
+from fracbench.report.page.exhibits import document, drawn
+from fracbench.report.sources import Sources
+
+#: In the order in which they are told.
+EXPERIMENTS = ("alpha_by_structure", "adaptive_alpha", "accurate")
+
+_LEAD = (
+    "The paper ends with the wish to “detect a priori the type of structures the image presents and adjust alpha "
+    "accordingly”. What adapts here is the order of the gradient from pixel to pixel: the structure tensor of the "
+    "first frame alone sorts pixels as flat, edge, corner or texture, at each scale, and each class has its own "
+    "α; a true flow only scores. Whatever is chosen by errors is chosen on other sequences than it is scored on, "
+    "and what the truth may choose is called a bound. `make beyond` computes this section."
+)
+
+
+def beyond(sources: Sources) -> Section:
+    """Return what was found beyond the paper, or the commands for it; nothing is planned or computed.
+
+    Parameters
+    ----------
+    sources : Sources
+        Where results are, and which form of them is shown.
+
+    Returns
+    -------
+    Section
+        For each experiment what its text says before its first table, its figures, and the tables folded.
+    """
+    blocks: list[Block] = [Text(_LEAD)]
+    for name in EXPERIMENTS:
+        blocks += _told(name, sources)
+    blocks += document("docs/beyond.md", "The whole story: docs/beyond.md")
+    return Section("beyond", "Beyond the paper", "Beyond the paper", blocks)
+
+
+def _told(name: str, sources: Sources) -> list[Block]:
+    source = sources.outline(name)
+    if source is None:
+        return []
+    heading = Heading(source.experiment.title, f"beyond-{name}")
+    path = sources.results / "tables" / f"{name}{source.suffix}.md"
+    if not path.is_file():
+        return [heading, Missing(f"the experiment {name}", source.command)]
+    lines = path.read_text(encoding="utf-8").splitlines()[1:]  # the title is the heading's
+    first = next((i for i, line in enumerate(lines) if line.startswith(("|", "## "))), len(lines))
+    said, rest = "\n".join(lines[:first]).strip(), "\n".join(lines[first:]).strip()
+    folded: list[Block] = [Details(f"The tables: tables/{path.name}", [Text(demoted(rest, 2))])] if rest else []
+    return [heading, Text(said, "answer"), *drawn(source, sources.results), *folded]

@@ -1,0 +1,175 @@
+"""What the report shows: figures as they were drawn last, pictures of each sequence, documents."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fracbench.errors import InputError
+from fracbench.harness.config.experiment import list_experiments
+from fracbench.harness.config.paths import asset
+from fracbench.report.page.elements import (
+    Block,
+    Details,
+    Heading,
+    Missing,
+    Picture,
+    Section,
+    Text,
+    demoted,
+    embedded_file,
+)
+from fracbench.report.page.gallery import gallery, missing_flows, scenes, shared_scale
+from fracbench.report.sources import PROTOCOLS, SUFFIXES, Source, Sources
+
+
+def document(path: str, summary: str) -> list[Block]:
+    """Return a document of the project, folded; nothing where it is not shipped."""
+    try:
+        text = asset(path).read_text(encoding="utf-8")
+    except InputError:
+        return []
+    return [Details(summary, [Text(demoted(text, 2))])]
+
+
+def answer_picture(sources: Sources) -> list[Block]:
+    """Return the picture that sums the paper and ours up, if it has been drawn."""
+    path = sources.results / "figures" / f"answer{sources.suffix}.png"
+    if not path.is_file():
+        return []
+    uri, size = embedded_file(path)
+    alt = (
+        "marks for the paper and for our runs: on the left the best alpha of each of the six regions, on the "
+        "right the end-point error of TV-L1-SB on each of the eight sequences"
+    )
+    caption = (
+        "The paper's numbers (black) beside ours. Left: the order with the smallest AEPE on each region. Right: "
+        f"Table 2. File `figures/{path.name}`, also as PDF and CSV."
+    )
+    return [Picture(uri, alt, caption, size)]
+
+
+# -- figures -------------------------------------------------------------------------------------
+
+
+def figures(sources: Sources) -> Section:
+    """Return the figures of the paper, drawn from the stored results, and those beyond it."""
+    names = [name for name in list_experiments() if name.startswith("fig") and name[3:].isdigit()]
+    blocks: list[Block] = []
+    for name in sorted(names, key=lambda name: int(name[3:])):
+        source = sources.get(name)
+        if source is None:
+            continue
+        blocks.append(Heading(source.experiment.title, name))
+        blocks += state(source, sources, name)
+        blocks += figures_of(sources, name)
+    return Section("figures", "Figures", "The figures", blocks)
+
+
+def figures_of(sources: Sources, name: str) -> list[Block]:
+    """Return an experiment's figures as they were drawn last, or how to draw them once its points are there."""
+    source = sources.get(name)
+    if source is None:
+        return []
+    found = drawn(source, sources.results)
+    if not found and not source.n_missing:
+        return [Missing(f"the drawing of {name}", source.command)]
+    return found
+
+
+def drawn(source: Source, results: Path) -> list[Block]:
+    """Return an experiment's figures as they were drawn last."""
+    return [_figure(source, path, variant) for variant, path in figure_files(results, source).items()]
+
+
+def figure_files(results: Path, source: Source) -> dict[str, Path]:
+    """Return the PNG files of an experiment's artefact, for this data set and size, by variant.
+
+    Parameters
+    ----------
+    results : Path
+        The results folder.
+    source : Source
+        The experiment.
+
+    Returns
+    -------
+    dict of str to Path
+        What follows the experiment's name in the file's, e.g. ``context``; ``""`` for the figure itself, which
+        comes first, then those of the protocols.
+    """
+    name, ending = source.experiment.name, source.suffix
+    others = tuple(other for other in SUFFIXES if other and other != ending and not ending.endswith(other))
+    found = {}
+    for folder in ("figures", "private"):
+        for path in sorted((results / folder).glob(f"{name}*{ending}.png")):
+            variant = path.stem.removeprefix(name).removesuffix(ending)
+            if not path.stem.endswith(others) and (not variant or variant.startswith("_")):
+                found[variant.removeprefix("_")] = path
+    order = ["", *PROTOCOLS, *found]
+    return dict(sorted(found.items(), key=lambda item: order.index(item[0])))
+
+
+_VARIANTS = {
+    "context": "With pixels of image around each region and a reflecting boundary, which is not the paper's.",
+    "protocols": "Under each protocol.",
+    "classes": "By class of pixels.",
+    "scenes": "The scenes, under the colours of their classes.",
+    "frames": "The first frames, under the colours of their classes.",
+    "orders": "The first frames, under the colours of their classes, and of the orders that the truth chose.",
+}
+_ALT = {
+    "family": "curves of mean angular and mean end-point error against {x}, a line for each {family}",
+    "adaptive_alpha": "gains in end-point error by sequence, and by class of pixels the orders that are best",
+    "alpha_by_structure": "curves of the error relative to that at alpha 1, a panel a structure",
+    "alpha_regions": "curves of mean angular and mean end-point error against alpha, two panels a region",
+    "frames": "one frame of each of the eight sequences",
+    "region_boxes": "frames of the sequences with the boxes of regions A and B drawn on them",
+}
+
+
+def _figure(source: Source, path: Path, variant: str) -> Picture:
+    uri, size = embedded_file(path)
+    experiment = source.experiment
+    said = f"Protocol `{variant}`: {PROTOCOLS[variant]}." if variant in PROTOCOLS else _VARIANTS.get(variant, "")
+    shows = _ALT.get(experiment.artefact, "drawn from the stored results").format_map(
+        {"x": experiment.options.get("x", ""), "family": experiment.options.get("family", "")}
+    )
+    alt = ", ".join(part for part in (experiment.title, variant, shows) if part)
+    numbers = f"`{path.parent.name}/{path.name}`"
+    return Picture(uri, alt, f"{said} File {numbers}, also as PDF.".strip(), size)
+
+
+def pictures(sources: Sources) -> Section:
+    """Return frames, flows and error maps of each sequence."""
+    intro = (
+        "Each sequence as the methods see it, the true flow, and three flows with Table 2's λ and θ; below each "
+        "flow, where it errs. Flows of a sequence share one scale of colours, a little wider than the true "
+        "motion is fast."
+    )
+    blocks: list[Block] = [Text(intro)]
+    absent = missing_flows(sources)
+    if absent:
+        words = ["fracbench report", *sources.settings, *(["--small"] if sources.small else [])]
+        blocks.append(Missing(f"{len(absent)} flows", " ".join(words)))
+    shown = [] if absent else scenes(sources)
+    top = shared_scale(shown)
+    for scene in shown:
+        blocks.append(Heading(scene.name, f"pictures-{scene.name.replace(' ', '-')}"))
+        blocks.append(gallery(scene, top))
+    return Section("pictures", "Flows", "Flows and where they err", blocks)
+
+
+def state(source: Source | None, sources: Sources, name: str) -> list[Block]:
+    """Say what is missing or failed of an experiment; nothing if it is whole."""
+    if source is None:
+        return [Missing(f"the experiment {name}, of which there is no file", sources.command(name))]
+    blocks: list[Block] = []
+    if source.n_missing:
+        some = "all" if source.n_missing == source.n_points else str(source.n_missing)
+        blocks.append(Missing(f"{some} of the {source.n_points} points of {name}", source.command))
+    if source.unfinished:
+        first = source.unfinished[0]
+        blocks.append(
+            Text(f"{len(source.unfinished)} points of {name} did not end well; the first: {first.error}", "answer")
+        )
+    return blocks

@@ -1,0 +1,90 @@
+"""The report: one HTML file with everything that was found, which opens from disk and asks for nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from fracbench.harness.config.experiment import list_experiments
+from fracbench.report.claims import claims
+from fracbench.report.page import background, exhibits
+from fracbench.report.page import sections as pages
+from fracbench.report.page.beyond import beyond
+from fracbench.report.page.elements import Section, render_page
+from fracbench.report.sources import RUNS, Sources
+from fracbench.studies.tables import ensure_folder, write_text
+
+_TITLE = "Fractional optical flow: what of the paper holds"
+
+_LEAD = (
+    "The paper is S. Gh. Bardeji, I. N. Figueiredo, E. Sousa, *Optical flow with fractional order regularization: "
+    "variational model and solution method* ([arXiv:1512.01398](https://arxiv.org/abs/1512.01398)). fracbench "
+    "computed its tables and figures anew, with a solver written and tested from its equations, and this page "
+    "puts every claim of the paper that can be tested beside what came out."
+)
+
+
+def write_report(sources: Sources) -> Path:
+    """Write the report from what the store holds; what is missing there is named, with its command.
+
+    The page shows Middlebury's frames, so it goes below ``runs``, which is never committed.
+
+    Parameters
+    ----------
+    sources : Sources
+        The experiments. The store, the figures and the flows for pictures are read. In small form two sequences
+        are shown in pictures.
+
+    Returns
+    -------
+    Path
+        The file, ``runs/report.html``; its name tells scenes from Middlebury, and small forms from whole ones.
+
+    Raises
+    ------
+    InputError
+        A store, a figure or data that cannot be read; a folder that cannot be written.
+    """
+    text = page(sources)
+    return write_text(text, ensure_folder(sources.results / RUNS) / f"report{sources.suffix}.html")
+
+
+def page(sources: Sources) -> str:
+    """Return the report as HTML; equal stores and figures give equal text."""
+    names = experiments()
+    found = [source for name in names if (source := sources.get(name)) is not None]
+    rows = background.all_rows(found)
+    missing = sum(source.n_missing for source in found)
+    facts = [
+        ("Data", "synthetic scenes in place of Middlebury" if sources.stand_in else "Middlebury, 8 sequences"),
+        ("Points stored", f"{len(rows)}{f', {missing} missing' if missing else ''}"),
+        ("Newest result", background.newest(rows) or "none yet"),
+    ]
+    if sources.small:
+        facts.append(("Form", "small: thinned grids, to try it out; verdicts mean nothing"))
+    return render_page(_TITLE, _LEAD, facts, sections(sources, names))
+
+
+def experiments() -> list[str]:
+    """Return the experiments of the page: tables, figures, studies, and what else the claims look at."""
+    known = list_experiments()
+    numbered = [name for kind in ("table", "fig") for name in known if name.removeprefix(kind).isdigit()]
+    wanted = dict.fromkeys([*numbered, "protocol_study", "solver_study", *claims.EXPERIMENTS])
+    return [name for name in wanted if name in known]
+
+
+def sections(sources: Sources, names: Sequence[str]) -> list[Section]:
+    """Return the parts of the page in their order: the answer first."""
+    return [
+        pages.verdicts(sources.judged, exhibits.answer_picture(sources)),
+        pages.protocol_study(sources),
+        pages.table2(sources),
+        exhibits.figures(sources),
+        exhibits.pictures(sources),
+        pages.solver_study(sources),
+        beyond(sources),
+        background.errata(),
+        background.open_choices(),
+        background.conventions(),
+        background.provenance(sources, names),
+    ]

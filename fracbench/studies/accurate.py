@@ -1,0 +1,180 @@
+"""What each ingredient of the accurate preset is worth, and how its weights fare on sequences not seen."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fracbench.errors import InputError
+from fracbench.evaluation.selection import leave_one_out
+from fracbench.harness.config.experiment import Experiment
+from fracbench.harness.run.plan import Plan
+from fracbench.harness.run.store import Row
+from fracbench.model.params import FlowParams
+from fracbench.studies import tables
+from fracbench.studies.base import Artefact, file_stem
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+#: Parts of the experiment: none of the ingredients, all of them, and the grid the preset is chosen from.
+PLAIN, ALL, CHOICE = "plain", "accurate", "choice"
+#: How the names of the other parts start, what was done there, and the part to compare with.
+_CHANGES = {
+    f"{PLAIN}/": ("added alone", PLAIN),
+    f"{ALL}/": ("taken from the whole", ALL),
+    f"{ALL}+": ("added to the whole", ALL),
+}
+_LEGEND = (
+    f"`{PLAIN}` has none of the ingredients and `{PLAIN}/x` has x alone; `{ALL}` is the preset, `{ALL}/x` has all "
+    f"but x, `{ALL}+x` has x on top. "
+    "AEPE in pixels, AAE in degrees, `seconds` of computing as stored: each the mean over the sequences, then "
+    "AEPE for each sequence."
+)
+_CHOICE_LEGEND = (
+    f"Among the preset, the preset with an ingredient taken away or added, and the weights of `{CHOICE}`, for "
+    "each sequence the setting is chosen that has the least mean AEPE on the others, and is scored on it: its "
+    "true flow had no part in the choice. `all in`: the setting with the least mean over all."
+)
+
+
+def accurate_study(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
+    """Write the ablation of the preset and its choice; see `fracbench.studies.base.Renderer`."""
+    for part in (PLAIN, ALL, CHOICE):
+        if part not in experiment.grids:
+            raise InputError(f"experiment {experiment.name}: the grid `{part}` is missing")
+    table = tables.tidy(plan, rows)
+    table["seconds"] = [rows[key].seconds if key in rows else math.nan for key in table["key"]]
+    ablation = ablation_table(table[table["part"] != CHOICE])
+    choice = choice_table(table[[str(part).startswith((ALL, CHOICE)) for part in table["part"]]])
+    lines = [*ablation_sentences(ablation), *choice_sentences(choice)]
+    notes = [*plan.notices, *tables.footnote(rows, [ALL])]
+    text = [f"# {experiment.title}\n", _LEGEND + "\n", tables.to_markdown(_short(ablation)) + "\n"]
+    text += ["## Chosen without the sequence\n", _CHOICE_LEGEND + "\n", tables.to_markdown(choice) + "\n"]
+    text += ["\n\n".join([*lines, *notes])]
+    stem = file_stem(experiment.name, plan, tables.ensure_folder(results / "tables"))
+    files = [
+        # Seconds differ from machine to machine: they are in the text, not in the table to compare.
+        tables.write_table(ablation.drop(columns="seconds"), stem),
+        tables.write_table(choice, stem.with_name(f"{stem.name}_choice")),
+        tables.write_text("\n".join(text) + "\n", stem.with_name(f"{stem.name}.md")),
+    ]
+    views = [(experiment.title, tables.rounded(_short(ablation))), ("Left out in turn", tables.rounded(choice))]
+    return Artefact(files, views, lines)
+
+
+def ablation_table(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a row for each part of the ablation, in order.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        From `tables.tidy`, with ``part`` and ``seconds``.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``part, seconds, AEPE, AAE`` (means; degrees), then ``AEPE s`` and ``AAE s`` for each sequence s. A mean
+        over fewer sequences than planned would not be comparable: it is NaN.
+    """
+    import pandas as pd
+
+    records = []
+    for part, group in table.groupby("part", sort=False):
+        degrees = group["aae"] * (180.0 / math.pi)
+        record: dict[str, Any] = {"part": part, "seconds": group["seconds"].mean(skipna=False)}
+        record |= {"AEPE": group["aepe"].mean(skipna=False), "AAE": degrees.mean(skipna=False)}
+        record |= {f"AEPE {name}": value for name, value in zip(group["sequence"], group["aepe"], strict=True)}
+        record |= {f"AAE {name}": value for name, value in zip(group["sequence"], degrees, strict=True)}
+        records.append(record)
+    return pd.DataFrame(records)
+
+
+def choice_table(table: pd.DataFrame) -> pd.DataFrame:
+    """Choose a setting for each sequence by the other sequences, and one by all.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        From `tables.tidy`: every setting on every sequence. Of the part `CHOICE` each combination of what varies
+        in it is a setting, and every other part is one.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``sequence, setting, AEPE, AAE`` (degrees): a row for each sequence with the setting chosen on the others,
+        their mean as ``left out``, and the mean of the setting chosen on all as ``all in``. Errors are NaN and
+        settings empty where points failed.
+    """
+    import pandas as pd
+
+    weights = table[table["part"] == CHOICE]
+    varying = [name for name in FlowParams.names() if name in weights and weights[name].nunique() > 1]
+    labels = [", ".join(f"{name}={value:g}" for name, value in zip(varying, row, strict=True))
+              for row in table[varying].to_numpy()]  # fmt: skip
+    names = [label if part == CHOICE else part for part, label in zip(table["part"], labels, strict=True)]
+    table = table.assign(setting=names, degrees=table["aae"] * (180.0 / math.pi))
+    # Settings in the order of the grid: of equally good ones the first is taken.
+    aepe, aae = (
+        table.pivot(index="setting", columns="sequence", values=metric).loc[
+            list(dict.fromkeys(names)), list(dict.fromkeys(table["sequence"]))
+        ]
+        for metric in ("aepe", "degrees")
+    )
+    columns = ["sequence", "setting", "AEPE", "AAE"]
+    choice = None if aepe.isna().any(axis=None) else leave_one_out(aepe)
+    if choice is None:
+        return pd.DataFrame(
+            [[name, "", math.nan, math.nan] for name in (*aepe, "left out", "all in")], columns=columns
+        )
+    records: list[list[Any]] = []
+    for sequence, row in zip(aepe, choice.left_out, strict=True):
+        records.append([sequence, aepe.index[row], aepe[sequence].iloc[row], aae[sequence].iloc[row]])
+    means = [sum(record[i] for record in records) / len(records) for i in (2, 3)]
+    best = aepe.index[choice.all_in]
+    records.append(["left out", "", *means])
+    records.append(["all in", best, aepe.loc[best].mean(), aae.loc[best].mean()])
+    return pd.DataFrame(records, columns=columns)
+
+
+def _short(ablation: pd.DataFrame) -> pd.DataFrame:
+    """Return the ablation for reading: the angular errors of single sequences are in the table alone."""
+    return ablation[[column for column in ablation if not column.startswith("AAE ")]]
+
+
+def ablation_sentences(ablation: pd.DataFrame) -> list[str]:
+    """Say what each ingredient changes alone, and what the others lose without it or gain by it.
+
+    Parameters
+    ----------
+    ablation : pandas.DataFrame
+        From `ablation_table`.
+
+    Returns
+    -------
+    list of str
+        Sentences; none for errors that are not known.
+    """
+    aepe = ablation.set_index("part")["AEPE"]
+    effects: dict[str, list[str]] = {}
+    for part, error in aepe.items():
+        for start, (words, whole) in _CHANGES.items():
+            if str(part).startswith(start):
+                percent = 100.0 * (error / aepe[whole] - 1.0)
+                told = f"{words} {percent:+.1f} %" if math.isfinite(percent) else ""
+                effects.setdefault(str(part).removeprefix(start), []).append(told)
+    return [f"{name}: {', '.join(told)} AEPE." for name, told in effects.items() if all(told)]
+
+
+def choice_sentences(choice: pd.DataFrame) -> list[str]:
+    """State both means; nothing where points failed."""
+    means = choice.set_index("sequence")
+    if means["AEPE"].isna().any():
+        return []
+    left_out, all_in = means.loc["left out"], means.loc["all in"]
+    return [
+        f"Chosen on the other sequences: AEPE {left_out['AEPE']:.4f} px, AAE {left_out['AAE']:.3f} degrees; "
+        f"chosen on all ({all_in['setting']}): {all_in['AEPE']:.4f} px, {all_in['AAE']:.3f} degrees."
+    ]

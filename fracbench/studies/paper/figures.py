@@ -1,0 +1,186 @@
+"""The paper's Table 1 and Figures 1 to 5: what is drawn of an experiment's rows, and under which name."""
+
+from __future__ import annotations
+
+import typing
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from fracbench.data.pair import load_sequence
+from fracbench.errors import InputError, unknown_name
+from fracbench.harness.config.compose import SequenceConfig, load_config
+from fracbench.harness.config.experiment import Experiment
+from fracbench.harness.run.plan import Plan
+from fracbench.harness.run.point import canonical_value
+from fracbench.harness.run.store import Row
+from fracbench.model.params import FlowParams, ParamInfo, public_name
+from fracbench.studies import tables
+from fracbench.studies.base import Artefact, best_values, file_stem
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from numpy.typing import NDArray
+
+#: Where pictures with Middlebury's frames in them go: the frames are not ours to publish.
+PRIVATE = "private"
+FIGURES = "figures"
+
+
+def table1(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
+    """Write Table 1 from the typed record of the parameters; see `fracbench.studies.base.Renderer`."""
+    table = parameter_table()
+    stem = tables.ensure_folder(results / "tables") / experiment.name  # the same on any data and any grid
+    shown = table.assign(symbol=[f"${symbol}$" if symbol else "" for symbol in table["symbol"]])
+    markdown = shown.to_markdown(index=False, disable_numparse=True)
+    escaped = shown.apply(lambda column: column if column.name == "symbol" else column.map(_latex))
+    caption = _latex(experiment.title)
+    latex = escaped.to_latex(index=False, escape=False, caption=caption, column_format="llp{6cm}lll")
+    files = [
+        tables.write_table(table, stem),
+        tables.write_text(f"# {experiment.title}\n\n{markdown}\n", stem.with_name(f"{stem.name}.md")),
+        tables.write_text(latex, stem.with_name(f"{stem.name}.tex")),
+    ]
+    return Artefact(files, [(experiment.title, table.drop(columns="symbol"))])
+
+
+def parameter_table() -> pd.DataFrame:
+    """Return what is known of every parameter, one row each.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Strings: ``symbol`` (LaTeX), ``parameter`` (its name on the command line), ``meaning``, ``paper`` (the
+        range of Table 1, or what the paper says elsewhere), ``allowed``, ``default`` (`recommended`).
+    """
+    import pandas as pd
+
+    hints, defaults = typing.get_type_hints(FlowParams), FlowParams()
+    records = []
+    for name, hint in hints.items():
+        info, default = FlowParams.info(name), getattr(defaults, name)
+        records.append(
+            {
+                "symbol": info.symbol,
+                "parameter": public_name(name),
+                "meaning": info.text,
+                "paper": info.paper_range,
+                "allowed": _allowed(hint, info),
+                "default": _unset(info) if default is None else canonical_value(default),
+            }
+        )
+    return pd.DataFrame(records)
+
+
+def _allowed(hint: Any, info: ParamInfo) -> str:
+    options = typing.get_args(hint)
+    if typing.get_origin(hint) is Literal:
+        return ", ".join(options)
+    if hint is bool:
+        return "true, false"
+    whole = "whole, " if hint is int or int in options else ""
+    unset = f"; or {_unset(info)}" if type(None) in options else ""
+    if info.high == float("inf"):
+        return f"{whole}{'>' if info.open_low else '>='} {info.low:g}{unset}"
+    return f"{whole}{'(' if info.open_low else '['}{info.low:g}, {info.high:g}]{unset}"
+
+
+def _unset(info: ParamInfo) -> str:
+    """Return the word for a parameter left to the program: the meaning explains it, as in ``auto: ...``."""
+    return "auto" if "auto:" in info.text else "none"
+
+
+def _latex(text: str) -> str:
+    escaped = text.replace("_", r"\_").replace("^", r"\^{}").replace("%", r"\%")
+    return escaped.replace(">=", r"$\geq$").replace(">", "$>$")
+
+
+def frames(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
+    """Draw one frame of each sequence in ``options.sequences``, or of the scenes that stand in for them."""
+    from fracbench.figures.cache import draw
+    from fracbench.figures.pictures import frame_panel
+
+    items = [_frame(load_config({"sequence": name}).sequence, plan) for name in _option(experiment, "sequences")]
+    stem = file_stem(experiment.name, plan, tables.ensure_folder(results / PRIVATE))
+    return Artefact(draw(stem, frame_panel, items, columns=4, title=experiment.title))
+
+
+def region_boxes(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
+    """Draw the regions in ``options.regions`` on the frames of their sequences, and list their bounds."""
+    import pandas as pd
+
+    from fracbench.figures.cache import draw
+    from fracbench.figures.pictures import frame_panel
+
+    pictures: dict[str, tuple[str, NDArray[Any]]] = {}
+    boxes: dict[str, dict[str, tuple[int, int, int, int]]] = {}
+    records = []
+    for name in _option(experiment, "regions"):
+        config = load_config({"region": name})
+        region, key = config.region, config.sequence.key
+        if region is None:
+            raise InputError(f"experiment {experiment.name}: {name!r} is no region")
+        pictures.setdefault(key, _frame(config.sequence, plan))
+        if plan.dataset == "middlebury":
+            box = (*region.rows, *region.cols)
+        else:  # the scenes are small: they stand in for regions as a whole
+            height, width = pictures[key][1].shape[:2]
+            box = (0, height, 0, width)
+        boxes.setdefault(key, {})[name.rpartition("_")[2]] = box
+        bounds = dict(zip(("first_row", "stop_row", "first_column", "stop_column"), box, strict=True))
+        records.append({"region": name, "picture": pictures[key][0], **bounds})
+    stem = file_stem(experiment.name, plan, tables.ensure_folder(results / PRIVATE))
+    bounds_stem = file_stem(experiment.name, plan, tables.ensure_folder(results / FIGURES))
+    table = pd.DataFrame(records)
+    shown = (list(pictures.values()), list(boxes.values()))
+    files = draw(stem, frame_panel, shown[0], boxes=shown[1], title=experiment.title)
+    files.append(tables.write_table(table, bounds_stem))
+    return Artefact(files, [(experiment.title, table)])
+
+
+def _frame(sequence: SequenceConfig, plan: Plan) -> tuple[str, NDArray[Any]]:
+    """Return the title and the first frame of a sequence, or of its stand-in."""
+    name, dataset = sequence.name, sequence.dataset
+    if dataset != plan.dataset == "synthetic":
+        name, dataset = sequence.stand_in or name, "synthetic"
+    loaded = load_sequence(name, dataset, plan.folder if dataset == "middlebury" else None)
+    title = f"{sequence.name}\n(scene {name})" if name != sequence.name else name
+    return title, loaded.frame0 if loaded.frame0_color is None else loaded.frame0_color
+
+
+def family(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
+    """Draw errors against ``options.x``, one line for each ``options.family`` and method, a figure a protocol.
+
+    The other options, ``styles``, ``shade``, ``logx`` and ``logy``, are those of
+    `fracbench.figures.curves.line_family`.
+    """
+    from fracbench.figures.cache import draw
+    from fracbench.figures.curves import line_family
+
+    options = dict(experiment.options)
+    x, hue = _option(experiment, "x"), _option(experiment, "family")
+    table = tables.tidy(plan, rows)
+    swept = [name for name in FlowParams.names() if name in table.columns]
+    for name in (x, hue):
+        if name not in swept:
+            raise unknown_name("parameter", str(name), swept, f"experiment {experiment.name}, options")
+    table = table[["protocol", "sequence", "method", hue, x, "aae", "aepe", "status"]]
+    looks = {name: options[name] for name in ("styles", "shade", "logx", "logy") if name in options}
+    folder = tables.ensure_folder(results / FIGURES)
+    artefact = Artefact()
+    for protocol, part in table.groupby("protocol", sort=False):
+        place = f"{', '.join(part['sequence'].unique())}, " if plan.stand_in else ""
+        title = f"{experiment.title}\n{place}protocol {protocol}"
+        stem = file_stem(f"{experiment.name}_{protocol}", plan, folder)
+        artefact.files += draw(stem, line_family, part, x=x, family=hue, title=title, **looks)
+    artefact.files.append(tables.write_table(table, file_stem(experiment.name, plan, folder)))
+    best = best_values(table[table["status"] == "done"], ["protocol", "method"], [hue, x])
+    artefact.views.append((f"Where the errors are smallest: {hue}, {x}", best))
+    return artefact
+
+
+def _option(experiment: Experiment, name: str) -> Any:
+    """Return an option that a renderer cannot do without."""
+    if name not in experiment.options:
+        raise InputError(f"experiment {experiment.name}: artefact {experiment.artefact} needs the option {name!r}")
+    return experiment.options[name]

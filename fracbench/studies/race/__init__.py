@@ -1,0 +1,4 @@
+"""The speed of the methods beside that of peers.
+
+Imports what `fracbench.studies` may.
+"""

@@ -1,0 +1,261 @@
+"""Is the paper's best alpha where its printed solver stops converging? Sweeps alone, and whole runs with each."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fracbench.harness.config.experiment import Experiment, load_experiment
+from fracbench.harness.run.plan import Plan
+from fracbench.harness.run.store import Row
+from fracbench.studies import tables
+from fracbench.studies.base import Artefact, file_stem
+from fracbench.studies.options import all_options
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+#: Solvers of the u-step, as the study names them.
+SOLVERS: Mapping[str, str] = {"jacobi": "Jacobi (printed)", "gauss_seidel": "Gauss-Seidel", "exact": "exact"}
+#: What the tables of whole runs keep.
+_COLUMNS = ["region", "sequence", "theta", "lambda_sb", "u_solver", "alpha", "aae", "aepe"]
+_COLUMNS += ["iterations", "inner_iterations", "stop", "status"]
+#: A best alpha this near to the limit, or to the paper's (one step of its grid), counts as there.
+NEAR_LIMIT, NEAR_PAPER = 0.2, 0.1 + 1e-9
+
+
+def solver_study(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
+    """Compare the solvers of the u-step, alone and in whole runs; see `fracbench.studies.base.Renderer`."""
+    from fracbench.figures.cache import draw
+    from fracbench.studies.solvers.figures import solver_panels
+
+    options = all_options(experiment)
+    runs = tables.tidy(plan, rows)
+    pairs = runs.drop_duplicates("region").set_index("region")[["theta", "lambda_sb"]]
+    summary = solver_summary(runs, pairs, printed_alphas())
+    lines = solver_sentences(runs, summary)
+
+    def stem(kind: str, folder: str = "tables") -> Path:
+        return file_stem(experiment.name + kind, plan, tables.ensure_folder(results / folder))
+
+    spectra, spectra_files = _kept_spectra(stem("_spectra"), pairs, options)
+    size, notes = options["size"], [*plan.notices, *tables.footnote(rows, ["reference"])]
+    text = [
+        f"# {experiment.title}\n",
+        _SOLVER_LEGEND + "\n",
+        tables.to_markdown(_short(summary)) + "\n",
+        "\n\n".join(lines),
+    ]
+    text += [f"\n## The u-system alone, {size} x {size} pixels\n", _SPECTRA_LEGEND.format(**options) + "\n"]
+    text += [tables.to_markdown(_side_by_side(spectra)) + "\n", "\n\n".join(notes)]
+    files = [
+        tables.write_table(summary, stem("")),
+        *spectra_files,
+        tables.write_table(runs[_COLUMNS], stem("_runs")),
+        tables.write_text("\n".join(text) + "\n", stem("").with_name(f"{stem('').name}.md")),
+        *draw(stem("", "figures"), solver_panels, spectra, runs, summary, experiment.title),
+    ]
+    return Artefact(files, [(experiment.title, _short(summary))], lines)
+
+
+def _kept_spectra(stem: Path, pairs: pd.DataFrame, options: Mapping[str, Any]) -> tuple[pd.DataFrame, list[Path]]:
+    """Return the table of `spectra_table` and its file, which is read where it holds these very spectra."""
+    import pandas as pd
+
+    from fracbench.figures.cache import keep
+    from fracbench.studies.solvers.spectra import SWEEPS
+
+    path = stem.with_name(f"{stem.name}.csv")
+    files = keep([path], (pairs, options), lambda: tables.write_table(spectra_table(pairs, **options), stem))
+    counts = {f"{sweep} sweeps": "Int64" for sweep in SWEEPS}
+    return pd.read_csv(path, dtype=counts), files
+
+
+_SOLVER_LEGEND = (
+    "The order alpha with the smallest errors, as printed and as each solver of the u-step reports it. `limit` is "
+    "the order from which on the printed fixed point (Jacobi, signs corrected) diverges on a large image with d "
+    "and b held (docs/errata.md, item 3); inside Algorithm 4 the shrinkage bounds it, and it oscillates instead."
+)
+_SPECTRA_LEGEND = (
+    "Spectral radius of a sweep (above 1 it diverges), and in brackets the sweeps to a relative residual of "
+    "{tol:g} from u = v, noise (none: not within {limit}); Jacobi / Gauss-Seidel. The exact solver takes one step."
+)
+
+
+def spectra_table(pairs: pd.DataFrame, *, size: int, alpha_step: float, tol: float, limit: int) -> pd.DataFrame:
+    """Compute how fast the sweeps converge for each region's u-system and alpha from 0 to 2.
+
+    Parameters
+    ----------
+    pairs : pandas.DataFrame
+        ``theta, lambda_sb`` by region.
+    size : int
+        Pixels a side: the system is that of a square image.
+    alpha_step : float
+        Step of the grid of alpha.
+    tol : float
+        Relative residual to be reached.
+    limit : int
+        Largest number of sweeps.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``region, theta, lambda_sb, alpha``, and for each sweep its ``radius`` (four digits) and ``sweeps`` (empty
+        where the tolerance is not reached).
+    """
+    import pandas as pd
+
+    from fracbench.model.operators.zero import left_derivative_matrix
+    from fracbench.studies.solvers.spectra import SWEEPS, spectral_radius, sweeps_needed
+
+    v = np.random.default_rng(0).normal(size=(size, size))
+    records = []
+    for alpha in np.round(np.arange(0.0, 2.0 + alpha_step / 2.0, alpha_step), 6):
+        t = left_derivative_matrix(float(alpha), size)
+        normal = t.T @ t
+        for region, (theta, mu) in pairs.iterrows():
+            record: dict[str, Any] = {"region": region, "theta": theta, "lambda_sb": mu, "alpha": alpha}
+            for sweep in SWEEPS:
+                system = (sweep, normal, normal, float(theta), float(mu))
+                # The radius is found to four digits: more would only differ from machine to machine.
+                record[f"{sweep} radius"] = float(f"{spectral_radius(*system):.4g}")
+                record[f"{sweep} sweeps"] = sweeps_needed(*system, v, tol=tol, limit=limit)
+            records.append(record)
+    table = pd.DataFrame(records).astype({f"{sweep} sweeps": "Int64" for sweep in SWEEPS})
+    order = {region: i for i, region in enumerate(pairs.index)}
+    return table.sort_values("region", key=lambda names: names.map(order), kind="stable", ignore_index=True)
+
+
+def printed_alphas() -> dict[str, dict[str, float]]:
+    """Return the captions' best alpha by region and error, as the experiments of Figures 6 and 7 hold them."""
+    figures = (load_experiment(name).options["paper"] for name in ("fig6", "fig7"))
+    return {region: values for figure in figures for region, values in figure.items()}
+
+
+def solver_summary(
+    runs: pd.DataFrame, pairs: pd.DataFrame, printed: Mapping[str, Mapping[str, float]]
+) -> pd.DataFrame:
+    """Put the best alpha of each solver beside the paper's and beside the limit of the printed sweep.
+
+    Parameters
+    ----------
+    runs : pandas.DataFrame
+        Tidy rows with ``region, u_solver, alpha``.
+    pairs : pandas.DataFrame
+        ``theta, lambda_sb`` by region.
+    printed : mapping
+        The captions' best alpha by region and error.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``region, theta, lambda_sb, limit``, then for AAE and AEPE the best alpha in the paper and with each
+        solver, and that solver's error there. NaN where a point of the curve failed.
+    """
+    import pandas as pd
+
+    from fracbench.studies.solvers.spectra import jacobi_limit
+
+    records = []
+    for region, (theta, mu) in pairs.iterrows():
+        record: dict[str, Any] = {"region": region, "theta": theta, "lambda_sb": mu}
+        record["limit"] = round(jacobi_limit(float(theta), float(mu)), 4)
+        for metric in ("aae", "aepe"):
+            record[f"{metric} paper"] = float(printed[str(region)][metric])
+            for solver in SOLVERS:
+                curve = runs[(runs["region"] == region) & (runs["u_solver"] == solver)]
+                whole = len(curve) > 0 and curve[metric].notna().all()
+                best = curve.loc[curve[metric].idxmin()] if whole else None
+                record[f"{metric} {solver}"] = math.nan if best is None else float(best["alpha"])
+                record[f"{metric} {solver} error"] = math.nan if best is None else float(best[metric])
+        records.append(record)
+    return pd.DataFrame(records)
+
+
+def _short(summary: pd.DataFrame) -> pd.DataFrame:
+    """Return the summary for reading: alphas with two digits, without the errors."""
+    shown = summary[[column for column in summary if not column.endswith(" error")]].copy()
+    for column in shown.columns[1:]:
+        shown[column] = [("" if math.isnan(value) else f"{value:.3g}") for value in shown[column]]
+    return shown
+
+
+def _side_by_side(spectra: pd.DataFrame) -> pd.DataFrame:
+    """Return the spectra for reading: a row an alpha, a column a region."""
+    cells = {}
+    for sweep in ("jacobi", "gauss_seidel"):
+        counts = spectra[f"{sweep} sweeps"].astype("object").where(spectra[f"{sweep} sweeps"].notna(), "none")
+        cells[sweep] = spectra[f"{sweep} radius"].map("{:.3f}".format) + " (" + counts.astype(str) + ")"
+    shown = spectra.assign(cell=cells["jacobi"] + " / " + cells["gauss_seidel"])
+    shown["alpha"] = shown["alpha"].map("{:g}".format)
+    return shown.pivot_table("cell", "alpha", "region", aggfunc="first", sort=False).reset_index()
+
+
+def solver_sentences(runs: pd.DataFrame, summary: pd.DataFrame) -> list[str]:
+    """Answer whether the paper's best alpha is where its solver stops converging.
+
+    Parameters
+    ----------
+    runs : pandas.DataFrame
+        Tidy rows with ``region, u_solver, alpha, aepe``.
+    summary : pandas.DataFrame
+        From `solver_summary`.
+
+    Returns
+    -------
+    list of str
+        Sentences, computed.
+    """
+    limits, n = summary["limit"], len(summary)
+    beyond = {metric: int((summary[f"{metric} paper"] > limits).sum()) for metric in ("aae", "aepe")}
+    sentences = [
+        f"The printed sweep stops converging at alpha {limits.min():.2f} to {limits.max():.2f}, by region; "
+        f"the paper's best alpha is beyond that on {beyond['aae']} of {n} by AAE, on {beyond['aepe']} by AEPE."
+    ]
+    names = {"paper": "In the paper", **{solver: f"With {name}" for solver, name in SOLVERS.items()}}
+    for source, name in names.items():
+        parts = [_against_limit(summary, metric, source) for metric in ("aae", "aepe")]
+        sentences.append(f"{name}, the best alpha is {'; '.join(parts)}.")
+    return [*sentences, *_excess_of_jacobi(runs, summary)]
+
+
+def _excess_of_jacobi(runs: pd.DataFrame, summary: pd.DataFrame) -> list[str]:
+    """Say how much larger the errors are with the printed sweep, where it converges and where it does not."""
+    both = runs.pivot_table("aepe", ["region", "alpha"], "u_solver", dropna=False)
+    if not {"jacobi", "exact"} <= set(both):
+        return []
+    both["limit"] = both.index.get_level_values("region").map(summary.set_index("region")["limit"])
+    both["log"] = np.log(both["jacobi"] / both["exact"])
+    alphas = both.index.get_level_values("alpha")
+    ranges = {"from 1 to its limit": (alphas >= 1.0) & (alphas <= both["limit"]), "beyond": alphas > both["limit"]}
+    means = {name: float(np.exp(both["log"][chosen].mean())) for name, chosen in ranges.items() if chosen.any()}
+    parts = ", ".join(f"{mean:.2f} times {name}" for name, mean in means.items() if math.isfinite(mean))
+    return [f"AEPE with Jacobi against exact: {parts} (geometric means)."] if parts else []
+
+
+def _against_limit(summary: pd.DataFrame, metric: str, source: str) -> str:
+    """Say how the best alphas of one source lie to the limits and to the paper's."""
+    alphas, limits, n = summary[f"{metric} {source}"], summary["limit"], len(summary)
+    if alphas.isna().any():
+        return f"not known by {metric.upper()}, as points failed"
+    near = int(((alphas - limits).abs() <= NEAR_LIMIT).sum())
+    text = (
+        f"by {metric.upper()} within {NEAR_LIMIT:g} of the limit on {near} of {n} regions, with a rank "
+        f"correlation of {_rank_correlation(alphas, limits)}"
+    )
+    if source == "paper":
+        return text
+    agree = int(((alphas - summary[f"{metric} paper"]).abs() <= NEAR_PAPER).sum())
+    return f"{text}, and within {NEAR_PAPER:.1g} of the paper's on {agree}"
+
+
+def _rank_correlation(a: pd.Series, b: pd.Series) -> str:
+    """Return Spearman's rank correlation as text; it needs two different values on each side."""
+    if a.nunique() < 2 or b.nunique() < 2:
+        return "none"
+    return f"{np.corrcoef(a.rank(), b.rank())[0, 1]:+.2f}"

@@ -1,0 +1,137 @@
+"""The artefact of the question which alpha is best for which structure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fracbench.data.datasets.synthetic.single_structure import LONE
+from fracbench.data.pair import load_sequence
+from fracbench.errors import InputError
+from fracbench.harness.config.experiment import Experiment
+from fracbench.harness.run.plan import Plan
+from fracbench.harness.run.store import Row
+from fracbench.studies import tables
+from fracbench.studies.base import Artefact, file_stem
+from fracbench.studies.paper.figures import FIGURES, PRIVATE
+from fracbench.studies.structure.tables import (
+    ALL,
+    BY_CLASS,
+    METRICS,
+    SCENES,
+    best_table,
+    curve_table,
+    long_table,
+    sentences,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_LEGEND = (
+    "`best` is the alpha with the smallest error relative to alpha = 1, in the geometric mean over seeds (scenes) "
+    "or sequences (classes of pixels, `{all}`: all of them), with the interval of 2000 bootstrap resamples. The "
+    "gain over alpha = 1, with Student's interval, is taken at the alpha that is best for the other half of the "
+    "seeds or sequences: an alpha chosen on the same data gains something always. `paper`: section 4.2, where "
+    "flat is close to 0, read as up to 0.3; `costs`: the best alpha in that range against the best of all. Under "
+    "`reflect`, alpha = 0 is apart: the operator is the identity there. Parameters: conf/sequence."
+)
+
+
+def alpha_by_structure(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
+    """Draw errors against alpha by structure, and the classes; see `fracbench.studies.base.Renderer`."""
+    from fracbench.figures.cache import draw
+    from fracbench.studies.structure.figures import structure_panels
+
+    runs = tables.tidy(plan, rows)
+    errors = long_table(runs)
+    best, curves = best_table(errors, _paper(experiment)), curve_table(errors)
+    lines = sentences(best)
+
+    def stem(kind: str, folder: str) -> Path:
+        return file_stem(f"{experiment.name}{kind}", plan, tables.ensure_folder(results / folder))
+
+    files = [tables.write_table(best, stem("", "tables")), tables.write_table(curves, stem("_curves", "tables"))]
+    shown = _readable(best)
+    legend = _LEGEND.format(all=ALL)
+    notes = [*plan.notices, *tables.footnote(rows, sorted(set(runs["protocol"])))]
+    text = [f"# {experiment.title}\n", legend + "\n", "\n".join(f"- {line}" for line in lines) + "\n"]
+    text += [tables.to_markdown(shown) + "\n", "\n\n".join(notes)]
+    markdown = stem("", "tables")
+    files.append(tables.write_text("\n".join(text) + "\n", markdown.with_name(f"{markdown.name}.md")))
+    for part, kind in ((SCENES, ""), (BY_CLASS, "_classes")):
+        chosen = _of_figure(curves, part, experiment.options.get("shown_noise"))
+        if len(chosen):
+            ranges = _paper(experiment)
+            files += draw(stem(kind, FIGURES), structure_panels, chosen, ranges, _heading(experiment, chosen))
+    files += _pictures(plan, stem)
+    return Artefact(files, [(experiment.title, tables.rounded(shown))], lines)
+
+
+def _paper(experiment: Experiment) -> dict[str, tuple[float, float]]:
+    """Return what the paper says, checked."""
+    try:
+        said = dict(experiment.options.get("paper") or {})
+        return {str(name): (float(low), float(high)) for name, (low, high) in said.items()}
+    except (TypeError, ValueError) as exc:
+        wanted = "a mapping of structures to [LOWEST, HIGHEST] alpha"
+        raise InputError(f"experiment {experiment.name}: the option 'paper' must be {wanted}") from exc
+
+
+def _of_figure(curves: pd.DataFrame, part: str, noise: Any) -> pd.DataFrame:
+    """Return the curves by AEPE of one part and one noise: the one asked for, or else the first."""
+    chosen = curves[(curves["part"] == part) & (curves["metric"] == METRICS[0])]
+    wanted = chosen["noise"] == ("" if noise is None else f"{noise:g}")
+    return chosen[wanted if wanted.any() else chosen["noise"].isin(chosen["noise"].head(1))]
+
+
+def _heading(experiment: Experiment, chosen: pd.DataFrame) -> str:
+    noise, n = chosen["noise"].iloc[0], int(chosen["n"].max())
+    if chosen["part"].iloc[0] == BY_CLASS:
+        return f"{experiment.title}\nAEPE within classes of pixels, {n} sequences"
+    return f"{experiment.title}\nAEPE on scenes of one structure, {n} seeds, noise {noise}"
+
+
+def _readable(best: pd.DataFrame) -> pd.DataFrame:
+    """Return the table for reading: intervals in one cell, percentages with one digit."""
+
+    def between(low: str, high: str, digits: int) -> list[str]:
+        ends = zip(best[low], best[high], strict=True)
+        return ["" if a != a or b != b else f"{a:.{digits}f} to {b:.{digits}f}" for a, b in ends]
+
+    shown = best[["structure", "noise", "boundary", "metric", "n"]].copy()
+    shown["best"] = best["best"].map("{:g}".format)
+    shown["95 %"] = between("best_low", "best_high", 1)
+    shown["error at 1"] = best["error_at_1"]
+    shown["gain %"] = ["" if gain != gain else f"{gain:.1f}" for gain in best["gain"]]
+    shown["gain 95 %"] = between("gain_low", "gain_high", 1)
+    shown["paper"] = between("paper_low", "paper_high", 1)
+    shown["costs %"] = ["" if cost != cost else f"{cost:.1f}" for cost in best["costs"]]
+    shown["verdict"] = best["verdict"]
+    return shown
+
+
+def _pictures(plan: Plan, stem: Any) -> list[Path]:
+    """Draw the first frames with their classes: the scenes' to be shown, Middlebury's for oneself."""
+    from fracbench.figures.cache import draw
+    from fracbench.figures.pictures import frame_panel
+    from fracbench.studies.structure.figures import CLASS_COLOURS, class_overlay
+
+    frames: dict[tuple[str, str], Any] = {}
+    for planned in plan.points:
+        dataset, name = planned.point.dataset, planned.point.sequence
+        if (dataset, name) not in frames:
+            loaded = load_sequence(name, dataset, plan.folder if dataset == "middlebury" else None)
+            frames[dataset, name] = class_overlay(loaded.frame0)
+    files: list[Path] = []
+    words = ", ".join(f"{colour} {name}" for name, (colour, _) in CLASS_COLOURS.items())
+    for dataset, folder, kind in (("synthetic", FIGURES, "_scenes"), ("middlebury", PRIVATE, "_frames")):
+        items = [(name, picture) for (of, name), picture in frames.items() if of == dataset]
+        items.sort(key=lambda item: LONE.index(item[0]) if item[0] in LONE else -1)
+        if items:
+            columns = 3 if dataset == "synthetic" else 4
+            files += draw(
+                stem(kind, folder), frame_panel, items, columns=columns, title=f"Classes of pixels: {words}"
+            )
+    return files
