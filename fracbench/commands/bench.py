@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from fracbench.commands import console
 from fracbench.errors import InputError
 from fracbench.harness.run.plan import make_plan
+from fracbench.harness.run.store import RUNS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -160,9 +161,9 @@ def weigh(tokens: Sequence[str], *, repeats: int) -> None:
 
 def _stem(tokens: Sequence[str], name: str) -> Path:
     """Return where results go, without suffix, before anything is measured in vain."""
-    from fracbench.studies.tables import ensure_folder
+    from fracbench.data.files import ensure_folder
 
-    return ensure_folder(make_plan(tokens).config.results / "runs" / "bench") / name
+    return ensure_folder(make_plan(tokens).config.results / RUNS / "bench") / name
 
 
 def _write(

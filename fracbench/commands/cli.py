@@ -35,6 +35,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     int
         Exit code: 0 done, 1 a check did not hold, 2 bad input, 3 finished but some points failed.
     """
+    console.show_log()
     try:
         return _dispatch(list(sys.argv[1:] if argv is None else argv))
     except FracbenchError as exc:
@@ -60,7 +61,7 @@ def _dispatch(argv: list[str]) -> int:
 
 def console_entry() -> NoReturn:
     """Run the command line and leave with its exit code: the console script."""
-    from fracbench.harness.run.memory import return_what_is_freed
+    from fracbench.harness.run.provenance import return_what_is_freed
 
     return_what_is_freed()
     sys.exit(main())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -31,6 +32,20 @@ def note(text: str) -> None:
 def complain(text: str) -> None:
     """Print an error to standard error, in one line."""
     _console(stderr=True).print(f"fracbench: {text}", markup=False, style="bold red")
+
+
+class _Notes(logging.Handler):
+    """Print what the package logs as remarks."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        note(f"note: {record.getMessage()}")
+
+
+def show_log() -> None:
+    """From now on, print the package's log as remarks."""
+    logger = logging.getLogger("fracbench")
+    if not logger.handlers:
+        logger.addHandler(_Notes())
 
 
 def show_table(table: pd.DataFrame, title: str = "") -> None:

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from fracbench.commands import console
-from fracbench.commands.run import STORE, require_workers
+from fracbench.commands.run import require_workers
 from fracbench.errors import InputError, unknown_name
+from fracbench.harness.run.store import STORE
 
 if TYPE_CHECKING:
     from fracbench.harness.check.regression import Verdict
@@ -35,8 +36,8 @@ def check_references(names: Sequence[str], *, jobs: int) -> bool:
         An unknown name, or no table at all.
     """
     from fracbench.harness.check import regression, tolerances
+    from fracbench.harness.run.tidy import tidy
     from fracbench.model import SOLVER_VERSION
-    from fracbench.studies.tables import tidy
 
     require_workers(jobs)
     wanted = _stored(names)
@@ -94,7 +95,7 @@ def update_references(names: Sequence[str], reason: str, *, jobs: int) -> None:
         Anything that the user can put right; nothing is written then.
     """
     from fracbench.harness.check import regression
-    from fracbench.studies.tables import tidy
+    from fracbench.harness.run.tidy import tidy
 
     require_workers(jobs)
     for name in list(names) or _stored(names):
@@ -122,7 +123,7 @@ def measure_spread(names: Sequence[str], *, jobs: int, update: bool) -> None:
     import pandas as pd
 
     from fracbench.harness.check import regression, spread, tolerances
-    from fracbench.studies.tables import tidy
+    from fracbench.harness.run.tidy import tidy
 
     require_workers(jobs)
     if update:

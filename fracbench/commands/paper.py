@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fracbench.commands import console
-from fracbench.commands.run import STORE, announce, compute, say_failures
+from fracbench.commands.run import announce, compute, say_failures
 from fracbench.harness.config.experiment import Experiment, list_experiments, load_experiment
 from fracbench.harness.run.plan import Plan, plan_experiment
-from fracbench.harness.run.store import Store
+from fracbench.harness.run.store import STORE, Store
 
 if TYPE_CHECKING:
     from fracbench.report.sources import Sources
@@ -156,8 +156,8 @@ def judge(settings: Sequence[str] = (), *, small: bool = False, readme: Path | N
 
 def write_verdicts(sources: Sources) -> list[str]:
     """Write the verdicts and the picture that sums them up; return what was written, a line a file."""
+    from fracbench.data.files import ensure_folder
     from fracbench.report.claims import answer, claims
-    from fracbench.studies.tables import ensure_folder
 
     folder = ensure_folder(sources.results / "tables")
     files = claims.write_claims(sources.judged, folder / f"claims{sources.suffix}")

@@ -14,13 +14,11 @@ from fracbench.harness.config.experiment import Experiment
 from fracbench.harness.config.grid import parse_overrides
 from fracbench.harness.run import sweep as execute
 from fracbench.harness.run.plan import Plan, make_plan, plan_experiment
-from fracbench.harness.run.store import Store
+from fracbench.harness.run.store import RUNS, STORE, Store
 
 if TYPE_CHECKING:
     from fracbench.model.coarse_to_fine import FlowResult
     from fracbench.studies.base import Artefact
-
-STORE = Path("runs") / "store.sqlite"
 
 
 @dataclass
@@ -126,7 +124,7 @@ def perform(
 
 def compute(plan: Plan, name: str, jobs: int, *, rerun_failed: bool = False) -> execute.Report:
     """Compute what is missing of a plan, under a progress bar of that name; see `perform`."""
-    from fracbench.studies.tables import ensure_folder
+    from fracbench.data.files import ensure_folder
 
     require_workers(jobs)
     results = plan.config.results
@@ -211,14 +209,14 @@ def run_one(tokens: Sequence[str]) -> None:
         raise InputError(f"run takes one point, {' '.join(tokens)} stands for {len(plan.points)}; use sweep")
     for notice in plan.notices:
         console.note(f"note: {notice}")
+    from fracbench.data.files import ensure_folder
     from fracbench.harness.run.compute_point import point_arrays
     from fracbench.methods.registry import get_method
     from fracbench.model.params import FlowParams
-    from fracbench.studies.tables import ensure_folder
 
     planned = plan.points[0]
     point = planned.point
-    folder = ensure_folder(plan.config.results / "runs" / "flows")
+    folder = ensure_folder(plan.config.results / RUNS / "flows")
     frame0, frame1, truth, inner = point_arrays(point, plan.folder)
     result = get_method(point.method).estimate(frame0, frame1, FlowParams().replace(point.params))
     flow = result.flow[(slice(None), *inner)]

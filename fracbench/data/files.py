@@ -16,12 +16,15 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fracbench.errors import InputError, unknown_name
+
+if TYPE_CHECKING:
+    pass
 
 FLO_TAG = b"PIEH"  # the float32 202021.25, little endian
 FLO_UNKNOWN = 1666666752.0
@@ -352,3 +355,57 @@ def _require_range(
             f"{path}: {int(bad.sum())} flow vectors are outside {low:g} .. {high:.6g} pixels, which the "
             f"format cannot hold; the first is {flow[:, row, col].tolist()} at row {row}, column {col}"
         )
+
+
+def ensure_folder(folder: Path) -> Path:
+    """Create a folder of results.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder; its parents are created too.
+
+    Returns
+    -------
+    Path
+        The same.
+
+    Raises
+    ------
+    InputError
+        It cannot be created or written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as exc:
+        raise InputError(
+            f"results folder {folder}: cannot be created ({exc.strerror}); set paths.results"
+        ) from exc
+    if not os.access(folder, os.W_OK):
+        raise InputError(f"results folder {folder}: cannot be written; set paths.results")
+    return folder
+
+
+def write_text(text: str, path: Path) -> Path:
+    """Write a text file atomically.
+
+    Parameters
+    ----------
+    text : str
+        Content.
+    path : Path
+        The file; its folder must exist.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    InputError
+        The folder cannot be written.
+    """
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return path

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fracbench.data.names import match_name
-from fracbench.errors import InputError
+from fracbench.errors import InputError, match_name
 
 DATASETS = ("middlebury", "synthetic")
 

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import fracbench
+from fracbench.data.files import write_text
 from fracbench.figures import style
-from fracbench.studies.tables import write_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

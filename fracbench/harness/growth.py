@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracbench.harness.run import sweep as execute
-from fracbench.harness.run.memory import array_bytes, peak_mib, reset_peak
 from fracbench.harness.run.plan import make_plan
+from fracbench.harness.run.provenance import array_bytes, peak_mib, reset_peak
 from fracbench.harness.run.store import Store
 
 #: From VGA to 8 megapixels: these without a prime factor above 5, and with 17, which costs its square.

@@ -10,13 +10,14 @@ from fracbench.errors import InputError
 from fracbench.methods.paper import split_bregman, v_step
 from fracbench.model import pyramid
 from fracbench.model.coarse_to_fine import FlowResult, check_frames, coarse_to_fine
-from fracbench.model.data_terms import occlusion as beyond
+from fracbench.model.data_terms.choose import residual_factory
+from fracbench.model.flow_filters import refiner
 from fracbench.model.kernels.arrays import Array
 from fracbench.model.operators.alpha_map import MappedGradient
 from fracbench.model.params import FlowParams
-from fracbench.model.regularizers import Regularizer
-from fracbench.model.single_level import VStep
+from fracbench.model.regularizers import Regularizer, edge_weights
 from fracbench.model.structure import CLASSES, structure_classes
+from fracbench.model.v_steps import VStep, channel_step
 
 
 def tvl1_sb_alpha_map(frame0: Array, frame1: Array, params: FlowParams, *, trace: bool = False) -> FlowResult:
@@ -27,15 +28,21 @@ def tvl1_sb_alpha_map(frame0: Array, frame1: Array, params: FlowParams, *, trace
     if trace and params.lambda_gradient:
         raise InputError("`trace` needs lambda_gradient=0: the energy that it records is the paper's")
     check_frames(frame0, frame1)
-    data = beyond.data(frame0, frame1, params)
     return coarse_to_fine(
-        frame0, frame1, params, _by_class, _v_step,
-        make_residual=data, make_refiner=beyond.refiner, method="tvl1_sb_alpha_map", trace=trace,
-    )  # fmt: skip
+        frame0,
+        frame1,
+        params,
+        _by_class,
+        _v_step,
+        make_residual=residual_factory(frame0, frame1, params),
+        make_refiner=refiner,
+        method="tvl1_sb_alpha_map",
+        trace=trace,
+    )
 
 
 def _v_step(like: Array, params: FlowParams) -> VStep:
-    return beyond.channel_step(like, params) or v_step(like, params)
+    return channel_step(like, params) or v_step(like, params)
 
 
 def flow_with_orders(
@@ -81,5 +88,5 @@ def _by_class(params: FlowParams, frame0: Array) -> Regularizer:
     classes = structure_classes(frame0) if len(alphas) > 1 else np.zeros(frame0.shape, np.uint8)
     weights = np.equal.outer(np.arange(len(alphas)), of_class[classes]).astype(frame0.dtype)
     if params.edge_decay:
-        weights *= beyond.edge_weights(frame0, params.edge_decay, params.edge_power)
+        weights *= edge_weights(frame0, params.edge_decay, params.edge_power)
     return split_bregman(MappedGradient(alphas, weights, frame0.dtype), params)

@@ -11,11 +11,11 @@ from fracbench.model.coarse_to_fine import FlowResult, coarse_to_fine
 from fracbench.model.energy import regularity
 from fracbench.model.kernels.arrays import Array
 from fracbench.model.operators.base import GradientOperator
-from fracbench.model.operators.reflect import NaturalGradient
+from fracbench.model.operators.forward import NaturalGradient
 from fracbench.model.operators.zero import make_operator
 from fracbench.model.params import FlowParams
 from fracbench.model.regularizers import Regularizer, SplitBregman, TVDual
-from fracbench.model.single_level import MultiplierStep, PenaltyStep, VStep
+from fracbench.model.v_steps import MultiplierStep, PenaltyStep, VStep
 
 
 def tvl1(frame0: Array, frame1: Array, params: FlowParams, *, trace: bool = False) -> FlowResult:

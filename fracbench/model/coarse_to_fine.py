@@ -10,19 +10,13 @@ import numpy as np
 
 from fracbench.errors import InputError
 from fracbench.model import pyramid
+from fracbench.model.data_terms.brightness import Brightness, Residual
 from fracbench.model.kernels.arrays import Array, aligned
 from fracbench.model.kernels.threads import each, worth_threads
 from fracbench.model.params import FlowParams
 from fracbench.model.regularizers import Regularizer
-from fracbench.model.single_level import (
-    Brightness,
-    LevelReport,
-    PenaltyStep,
-    Residual,
-    Stopwatch,
-    VStep,
-    solve_level,
-)
+from fracbench.model.single_level import LevelReport, Stopwatch, solve_level
+from fracbench.model.v_steps import PenaltyStep, VStep
 
 RegularizerFactory = Callable[[FlowParams, Array], Regularizer]
 VStepFactory = Callable[[Array, FlowParams], VStep]

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import scipy.ndimage
 
+from fracbench.model.data_terms.occlusion import Visibility, slope
 from fracbench.model.kernels.arrays import Array
 from fracbench.model.kernels.jit import jit
+from fracbench.model.kernels.threads import share
+from fracbench.model.params import FlowParams
 
 #: Standard deviations of a neighbour's weight: distance in pixels, difference in gray levels (Sun et al. 2014).
 DISTANCE, LIKENESS = 7.0, 7.0
 #: A neighbour that differs by more gray levels than this has no weight.
 FAR = 3.0 * LIKENESS
-#: Standard deviations of visibility: divergence of the flow, and residual in gray levels (Sand and Teller 2008).
-DIVERGENCE, RESIDUAL = 0.3, 20.0
 #: A pixel is near a motion edge if the flow changes by more than this, pixels a pixel, within `REACH` pixels.
 MOTION_EDGE, REACH = 0.1, 4
 
@@ -36,34 +38,6 @@ def median(flow: Array, size: int) -> Array:
         A new array, in the precision of `flow`.
     """
     return np.stack([scipy.ndimage.median_filter(component, size, mode="nearest") for component in flow])
-
-
-def visibility(flow: Array, residual: Array) -> Array:
-    """Return how likely each pixel is seen in frame 1 as well: 1 where flow and frames agree.
-
-    ``exp(-min(0, div u)^2 / (2 s_d^2) - residual^2 / (2 s_r^2))``: flow converges where one surface covers
-    another.
-
-    Parameters
-    ----------
-    flow : ndarray, shape (2, H, W)
-        Flow.
-    residual : ndarray, shape (H, W)
-        ``I1(x + u) - I0(x)``, gray levels.
-
-    Returns
-    -------
-    ndarray, shape (H, W)
-        In (0, 1].
-    """
-    converging = np.minimum(slope(flow[0], 1) + slope(flow[1], 0), 0.0)
-    exponent = converging**2 / (2.0 * DIVERGENCE**2) + residual**2 / (2.0 * RESIDUAL**2)
-    return np.exp(-exponent).astype(flow.dtype)
-
-
-def slope(image: Array, axis: int) -> Array:
-    """Return central differences along an axis, borders repeated."""
-    return scipy.ndimage.correlate1d(image, [-0.5, 0.0, 0.5], axis, mode="nearest")
 
 
 def motion_edges(flow: Array) -> Array:
@@ -165,3 +139,37 @@ def _select(values: Array, weights: Array, count: int, wanted: float) -> float:
             wanted -= passed
             low = a
     return values[min(low, count - 1)]
+
+
+def refiner(frame0: Array, frame1: Array, params: FlowParams) -> Callable[[Array], Array] | None:
+    """Return the filter of the flow that `params` ask for, or None."""
+    wanted = params.median_radius or params.weighted_radius
+    return FlowFilter(frame0, frame1, params) if wanted else None
+
+
+class FlowFilter:
+    """The median filters of `fracbench.model.flow_filters`, one after the other, for the flow of a scale.
+
+    Parameters
+    ----------
+    frame0, frame1 : ndarray, shape (H, W)
+        The frames at the scale.
+    params : FlowParams
+        Radii of the windows, 0 for none, and whether neighbours that are hidden count less.
+    """
+
+    def __init__(self, frame0: Array, frame1: Array, params: FlowParams) -> None:
+        self._guide = frame0
+        self._visibility = Visibility(frame0, frame1, params) if params.occlusion != "none" else None
+        self._radius, self._weighted = params.median_radius, params.weighted_radius
+
+    def __call__(self, flow: Array) -> Array:
+        """Return the filtered flow, a new array of shape (2, H, W)."""
+        plain = median(flow, 2 * self._radius + 1)
+        if not self._weighted:
+            return plain
+        trust = np.ones_like(flow[0]) if self._visibility is None else self._visibility.of(flow)
+        near = motion_edges(plain)
+        arrays = flow, self._guide, trust, near, self._weighted, plain
+        share(lambda a, b: weighted_median(*arrays, a, b), len(near))
+        return plain

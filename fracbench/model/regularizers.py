@@ -10,12 +10,13 @@ from typing import Protocol
 
 import numpy as np
 
+from fracbench.model.data_terms.occlusion import slope
 from fracbench.model.kernels.arrays import Array, aligned
 from fracbench.model.kernels.jit import jit
 from fracbench.model.kernels.pointwise import bregman_update, mean_squared_change, shrink_difference
 from fracbench.model.kernels.threads import count, each, share
 from fracbench.model.operators.base import GradientOperator
-from fracbench.model.operators.reflect import NaturalGradient
+from fracbench.model.operators.forward import NaturalGradient
 from fracbench.model.sweeps import (
     gauss_seidel_dense,
     gauss_seidel_natural,
@@ -262,3 +263,25 @@ class SplitBregman:
         else:
             gauss_seidel_dense(u, rhs, self._ny, self._nx, self._theta, self._mu)
         operator.differentiate(u, w)
+
+
+def edge_weights(image: Array, decay: float, power: float) -> Array:
+    """Return ``exp(-k |grad I|^b)`` over its mean: where the image has an edge the flow may have one.
+
+    Parameters
+    ----------
+    image : ndarray, shape (H, W)
+        Frame 0, gray levels.
+    decay : float
+        k; 0 makes all weights 1.
+    power : float
+        b.
+
+    Returns
+    -------
+    ndarray, shape (H, W)
+        Positive, of mean 1, so that the balance with the data term stays.
+    """
+    steepness = np.hypot(slope(image, 0), slope(image, 1))
+    weights = np.exp(-decay * steepness**power)
+    return weights / weights.mean(dtype=np.float64).astype(image.dtype)

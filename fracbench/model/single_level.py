@@ -6,17 +6,17 @@ import time
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 
+from fracbench.model.data_terms.brightness import Residual
 from fracbench.model.energy import energy
 from fracbench.model.kernels.arrays import Array, aligned
-from fracbench.model.kernels.pointwise import coupled_threshold, mean_squared_change, threshold
-from fracbench.model.kernels.threads import LEAST_LIGHT_LINES, share
+from fracbench.model.kernels.pointwise import mean_squared_change, threshold
 from fracbench.model.params import FlowParams
 from fracbench.model.regularizers import Regularizer
-from fracbench.model.warping import Linearization, central_gradient, interleave, linearize
+from fracbench.model.v_steps import VStep
+from fracbench.model.warping import Linearization
 
 
 @dataclass
@@ -56,122 +56,6 @@ class Stopwatch:
         now = time.perf_counter()
         self.seconds[phase] += now - self._last
         self._last = now
-
-
-class VStep(Protocol):
-    """What the alternation asks of a v-step: the flow that the u-step is to regularise."""
-
-    def relinearised(self) -> None:
-        """Take note that the residual is another one from now on."""
-        ...
-
-    def restart(self) -> None:
-        """Forget the state kept between iterations."""
-        ...
-
-    def target(self, u: Array, linear: Linearization) -> Array:
-        """Return the next target, (2, H, W); it is overwritten by the next call."""
-        ...
-
-
-class PenaltyStep:
-    """The paper's v-step: the target is v itself.
-
-    Parameters
-    ----------
-    like : ndarray, shape (2, H, W)
-        A flow of the scale.
-    params : FlowParams
-        Data attachment weight and tightness.
-    """
-
-    def __init__(self, like: Array, params: FlowParams) -> None:
-        self._v = aligned(like.shape, like.dtype)
-        self._lambda_theta = params.lambda_ * params.theta
-
-    def relinearised(self) -> None:
-        """Keep no state."""
-
-    def restart(self) -> None:
-        """Keep no state."""
-
-    def target(self, u: Array, linear: Linearization) -> Array:
-        """Return v; see `VStep`."""
-        threshold(u, linear.rho_c, linear.gradient, self._lambda_theta, self._v)
-        return self._v
-
-
-class MultiplierStep:
-    """The v-step with a multiplier kept between iterations and warps; see `coupled_threshold`.
-
-    Parameters
-    ----------
-    like : ndarray, shape (2, H, W)
-        A flow of the scale.
-    params : FlowParams
-        Data attachment weight, tightness, step and relaxation.
-    """
-
-    def __init__(self, like: Array, params: FlowParams) -> None:
-        self._c, self._target = (aligned(like.shape, like.dtype) for _ in range(2))
-        self._params = params
-        self._fresh = True
-
-    def relinearised(self) -> None:
-        """Not relax towards the w of another residual."""
-        self._fresh = True
-
-    def restart(self) -> None:
-        """Set the multiplier to 0."""
-        self._c[...] = 0.0
-
-    def target(self, u: Array, linear: Linearization) -> Array:
-        """Return ``w - c``; see `VStep`."""
-        p = self._params
-        settings = p.lambda_, p.theta, p.coupling_step, self._relaxation()
-        state = self._c, self._target
-        share(lambda a, b: coupled_threshold(u, *linear, *settings, *state, a, b), u.shape[1], LEAST_LIGHT_LINES)
-        return self._target
-
-    def _relaxation(self) -> float:
-        """Return the over-relaxation of this iteration: none where the last w belongs to another residual."""
-        fresh, self._fresh = self._fresh, False
-        return 1.0 if fresh else self._params.relaxation
-
-
-class Residual(Protocol):
-    """What the solver asks of the data at a scale: the residual, linearised at a flow."""
-
-    def at(self, u0: Array) -> Linearization:
-        """Return the residual at `u0`, (2, H, W); it is overwritten by the next call."""
-        ...
-
-
-class Brightness:
-    """The paper's residual: the difference of brightness, linearised.
-
-    Parameters
-    ----------
-    frame0, frame1 : ndarray, shape (H, W)
-        The frames at a scale, 0..255.
-    params : FlowParams
-        Factor on the image gradient.
-    """
-
-    def __init__(self, frame0: Array, frame1: Array, params: FlowParams) -> None:
-        self._frame0 = frame0
-        self._samples1 = interleave(frame1, self.differentiate(frame1, params.gradient_scale))
-        self._linear = Linearization(np.empty_like(frame0), np.empty((2, *frame0.shape), frame0.dtype))
-
-    def differentiate(self, frame: Array, scale: float) -> Array:
-        """Return the derivatives of a frame, (2, H, W), times `scale`."""
-        return central_gradient(frame, scale)
-
-    def at(self, u0: Array) -> Linearization:
-        """Warp frame 1 and its gradient; see `Residual`."""
-        arrays = self._frame0, self._samples1, u0, *self._linear
-        share(lambda a, b: linearize(*arrays, a, b), u0.shape[1])
-        return self._linear
 
 
 def solve_level(

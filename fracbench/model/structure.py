@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracbench.errors import InputError
-from fracbench.evaluation.metrics import FlowErrors, endpoint_error, flow_errors
 
 CLASSES = ("flat", "edge", "corner", "texture")
 FLAT, EDGE, CORNER, TEXTURE = range(len(CLASSES))
@@ -80,33 +79,6 @@ def structure_classes(image: Any) -> NDArray[np.uint8]:
     found[crowded] = TEXTURE
     found[~structured] = FLAT
     return found
-
-
-def errors_by_class(flow: Any, truth: Any, classes: Any) -> dict[str, FlowErrors]:
-    """Score a flow within each class of pixels.
-
-    Parameters
-    ----------
-    flow, truth : array_like, (2, H, W)
-        The estimate and the true flow, pixels; see `fracbench.evaluation.metrics.flow_errors`.
-    classes : array_like of integers, (H, W)
-        From `structure_classes`.
-
-    Returns
-    -------
-    dict of str to FlowErrors
-        By name, for the classes that hold pixels of known true flow.
-
-    Raises
-    ------
-    InputError
-        If shapes differ.
-    """
-    known = np.isfinite(endpoint_error(np.zeros_like(truth), truth))
-    if np.shape(classes) != known.shape:
-        raise InputError(f"the classes have the shape {np.shape(classes)}, the flow {known.shape}")
-    masks = {name: np.asarray(classes) == index for index, name in enumerate(CLASSES)}
-    return {name: flow_errors(flow, truth, mask) for name, mask in masks.items() if (mask & known).any()}
 
 
 def noise_level(image: Any) -> float:

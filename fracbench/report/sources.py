@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from fracbench.harness.config.experiment import Experiment, list_experiments, load_experiment
 from fracbench.harness.run.plan import Plan, plan_experiment
-from fracbench.harness.run.store import Row, Store
+from fracbench.harness.run.store import RUNS, Row, Store
 from fracbench.report.claims.judging import CONTEXT
 
 if TYPE_CHECKING:
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
     from fracbench.report.claims.claims import Judged
 
-#: Where the store and what is computed for pictures are, below the results folder.
-RUNS = "runs"
 #: What each protocol is, in a line.
 PROTOCOLS = {
     "reference": "the paper's model, computed correctly and to convergence",
@@ -54,8 +52,8 @@ class Source:
 
     @cached_property
     def table(self) -> pd.DataFrame:
-        """One row a planned point; see `fracbench.studies.tables.tidy`."""
-        from fracbench.studies.tables import tidy
+        """One row a planned point; see `fracbench.harness.run.tidy.tidy`."""
+        from fracbench.harness.run.tidy import tidy
 
         return tidy(self.plan, self.rows)
 

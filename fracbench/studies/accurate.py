@@ -7,11 +7,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fracbench.data.files import ensure_folder, write_text
 from fracbench.errors import InputError
-from fracbench.evaluation.selection import leave_one_out
+from fracbench.evaluation.resampling import leave_one_out
 from fracbench.harness.config.experiment import Experiment
 from fracbench.harness.run.plan import Plan
 from fracbench.harness.run.store import Row
+from fracbench.harness.run.tidy import tidy
 from fracbench.model.params import FlowParams
 from fracbench.studies import tables
 from fracbench.studies.base import Artefact, file_stem
@@ -45,7 +47,7 @@ def accurate_study(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], 
     for part in (PLAIN, ALL, CHOICE):
         if part not in experiment.grids:
             raise InputError(f"experiment {experiment.name}: the grid `{part}` is missing")
-    table = tables.tidy(plan, rows)
+    table = tidy(plan, rows)
     table["seconds"] = [rows[key].seconds if key in rows else math.nan for key in table["key"]]
     ablation = ablation_table(table[table["part"] != CHOICE])
     choice = choice_table(table[[str(part).startswith((ALL, CHOICE)) for part in table["part"]]])
@@ -54,12 +56,12 @@ def accurate_study(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], 
     text = [f"# {experiment.title}\n", _LEGEND + "\n", tables.to_markdown(_short(ablation)) + "\n"]
     text += ["## Chosen without the sequence\n", _CHOICE_LEGEND + "\n", tables.to_markdown(choice) + "\n"]
     text += ["\n\n".join([*lines, *notes])]
-    stem = file_stem(experiment.name, plan, tables.ensure_folder(results / "tables"))
+    stem = file_stem(experiment.name, plan, ensure_folder(results / "tables"))
     files = [
         # Seconds differ from machine to machine: they are in the text, not in the table to compare.
         tables.write_table(ablation.drop(columns="seconds"), stem),
         tables.write_table(choice, stem.with_name(f"{stem.name}_choice")),
-        tables.write_text("\n".join(text) + "\n", stem.with_name(f"{stem.name}.md")),
+        write_text("\n".join(text) + "\n", stem.with_name(f"{stem.name}.md")),
     ]
     views = [(experiment.title, tables.rounded(_short(ablation))), ("Left out in turn", tables.rounded(choice))]
     return Artefact(files, views, lines)
@@ -71,7 +73,7 @@ def ablation_table(table: pd.DataFrame) -> pd.DataFrame:
     Parameters
     ----------
     table : pandas.DataFrame
-        From `tables.tidy`, with ``part`` and ``seconds``.
+        From `tidy`, with ``part`` and ``seconds``.
 
     Returns
     -------
@@ -98,7 +100,7 @@ def choice_table(table: pd.DataFrame) -> pd.DataFrame:
     Parameters
     ----------
     table : pandas.DataFrame
-        From `tables.tidy`: every setting on every sequence. Of the part `CHOICE` each combination of what varies
+        From `tidy`: every setting on every sequence. Of the part `CHOICE` each combination of what varies
         in it is a setting, and every other part is one.
 
     Returns

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
 #: A value counts as good as the best if its error is at most this much larger.
 FLAT = 0.02
+FIGURES = "figures"
+#: Where pictures with Middlebury's frames in them go: the frames are not ours to publish.
+PRIVATE = "private"
 
 
 @dataclass

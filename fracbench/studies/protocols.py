@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fracbench.data.files import ensure_folder, write_text
 from fracbench.harness.config.experiment import Experiment
 from fracbench.harness.config.paths import asset
 from fracbench.harness.run.plan import Plan
 from fracbench.harness.run.store import Row
+from fracbench.harness.run.tidy import tidy
 from fracbench.studies import tables
 from fracbench.studies.base import Artefact, file_stem
 
@@ -28,17 +30,17 @@ def protocol_study(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], 
     from fracbench.studies.solvers.figures import switch_dots
 
     published = pd.read_csv(asset("results/published/table2.csv"))
-    table = switch_table(tables.tidy(plan, rows), published, experiment.grids)
+    table = switch_table(tidy(plan, rows), published, experiment.grids)
     lines = switch_sentences(table)
     notes = [*plan.notices, *tables.footnote(rows, ["reference", "published"])]
     text = [f"# {experiment.title}\n", _SWITCH_LEGEND + "\n", tables.to_markdown(table) + "\n"]
     text += ["\n\n".join([*lines, *notes])]
-    drawn = file_stem(experiment.name, plan, tables.ensure_folder(results / "figures"))
+    drawn = file_stem(experiment.name, plan, ensure_folder(results / "figures"))
     figure = draw(drawn, switch_dots, table, experiment.title)
-    stem = file_stem(experiment.name, plan, tables.ensure_folder(results / "tables"))
+    stem = file_stem(experiment.name, plan, ensure_folder(results / "tables"))
     files = [
         tables.write_table(table, stem),
-        tables.write_text("\n".join(text) + "\n", stem.with_name(f"{stem.name}.md")),
+        write_text("\n".join(text) + "\n", stem.with_name(f"{stem.name}.md")),
     ]
     return Artefact([*files, *figure], [(experiment.title, tables.rounded(table))], lines)
 
@@ -57,7 +59,7 @@ def switch_table(table: pd.DataFrame, published: pd.DataFrame, grids: Mapping[st
     Parameters
     ----------
     table : pandas.DataFrame
-        From `tables.tidy`; the column ``part`` tells the settings apart.
+        From `tidy`; the column ``part`` tells the settings apart.
     published : pandas.DataFrame
         Table 2 as printed.
     grids : mapping of str to sequence of str

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fracbench.data.files import ensure_folder, write_text
 from fracbench.errors import unknown_name
 from fracbench.harness.config.experiment import Experiment
 from fracbench.harness.config.paths import asset
 from fracbench.harness.run.plan import Plan
 from fracbench.harness.run.store import Row
+from fracbench.harness.run.tidy import METRICS, tidy
 from fracbench.studies import tables
 from fracbench.studies.accurate import accurate_study
 from fracbench.studies.alpha_map.artefact import adaptive_alpha
@@ -74,8 +76,8 @@ def _table2(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results
     import pandas as pd
 
     published = pd.read_csv(asset("results/published/table2.csv"))
-    comparison = tables.versus_published(tables.tidy(plan, rows), published)
-    stem = file_stem(experiment.name, plan, tables.ensure_folder(results / "tables"))
+    comparison = tables.versus_published(tidy(plan, rows), published)
+    stem = file_stem(experiment.name, plan, ensure_folder(results / "tables"))
     protocols = list(comparison["protocol"].unique())
     artefact = Artefact()
     parts, latex = [f"# {experiment.title}\n"], []
@@ -92,15 +94,15 @@ def _table2(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results
     # Written last, so that a table that cannot be laid out replaces none of them.
     artefact.files = [
         tables.write_table(comparison, stem),
-        tables.write_text("\n".join(parts), stem.with_name(stem.name + ".md")),
-        tables.write_text("\n".join(latex) + "\n", stem.with_name(stem.name + ".tex")),
+        write_text("\n".join(parts), stem.with_name(stem.name + ".md")),
+        write_text("\n".join(latex) + "\n", stem.with_name(stem.name + ".tex")),
     ]
     return artefact
 
 
 def _sweep(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
-    table = tables.tidy(plan, rows)
-    stem = file_stem(experiment.name, plan, tables.ensure_folder(results / "sweeps"))
+    table = tidy(plan, rows)
+    stem = file_stem(experiment.name, plan, ensure_folder(results / "sweeps"))
     artefact = Artefact()
     names, numbers = split_varying(table, plan)
     done = table[table["status"] == "done"]
@@ -108,7 +110,7 @@ def _sweep(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results:
         best = best_values(done, names, numbers)
         artefact.views.append((f"Best {', '.join(numbers)} (smaller errors are better)", best))
     else:
-        shown = table[[*names, *numbers, *tables.METRICS, "status"]]
+        shown = table[[*names, *numbers, *METRICS, "status"]]
         artefact.views.append((experiment.title, tables.rounded(shown)))
     figure = _sweep_figure(experiment.title, table, names, numbers)
     if figure is None:

@@ -13,9 +13,9 @@ from fracbench import estimate_flow
 from fracbench.commands.cli import main
 from fracbench.errors import InputError
 from fracbench.harness import growth
-from fracbench.harness.run.memory import array_bytes
 from fracbench.harness.run.plan import make_plan
 from fracbench.harness.run.point import canonical_value
+from fracbench.harness.run.provenance import array_bytes
 from fracbench.studies.race import figures as benchmark
 from fracbench.studies.race import measure as bench
 

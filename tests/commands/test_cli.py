@@ -16,7 +16,6 @@ import yaml
 
 import fracbench
 from fracbench import api, estimate_flow
-from fracbench.commands import run as session
 from fracbench.commands.cli import EXIT_CHECK, EXIT_DONE, EXIT_FAILED, EXIT_INPUT
 from fracbench.data.datasets import middlebury as middlebury_data
 from fracbench.data.files import read_flow, read_image
@@ -26,7 +25,7 @@ from fracbench.harness.check.tolerances import MEASURED
 from fracbench.harness.config.paths import asset
 from fracbench.harness.run import sweep as execute
 from fracbench.harness.run.pool import LocalCrew
-from fracbench.harness.run.store import Store
+from fracbench.harness.run.store import STORE, Store
 from fracbench.methods.registry import METHODS
 
 COMMANDS = ("sweep", "table", "figure", "experiment", "run", "estimate", "check", "data", "methods")
@@ -281,7 +280,7 @@ def test_ctrl_c_is_one_line_and_keeps_what_was_finished(cli, work, tiny, monkeyp
         "fracbench: interrupted; what was finished is stored, and the same command goes on from there"
     )
     assert "Traceback" not in done.err
-    with Store(work / "results" / session.STORE, readonly=True) as store:
+    with Store(work / "results" / STORE, readonly=True) as store:
         assert len(store.rows("done")) == 1
 
 

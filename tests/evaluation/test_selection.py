@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fracbench.errors import InputError
-from fracbench.evaluation.selection import Choice, leave_one_out
+from fracbench.evaluation.resampling import Choice, leave_one_out
 
 
 def test_each_sequence_is_chosen_for_by_the_others():

@@ -7,18 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from fracbench.model.flow_filters import (
-    DISTANCE,
-    DIVERGENCE,
-    FAR,
-    LIKENESS,
-    REACH,
-    RESIDUAL,
-    median,
-    motion_edges,
-    visibility,
-    weighted_median,
-)
+from fracbench.model.data_terms.occlusion import DIVERGENCE, RESIDUAL, visibility
+from fracbench.model.flow_filters import DISTANCE, FAR, LIKENESS, REACH, median, motion_edges, weighted_median
 
 
 @pytest.fixture

@@ -7,9 +7,9 @@ import pytest
 import reference_impl as ref
 
 from fracbench.model.coarse_to_fine import coarse_to_fine
-from fracbench.model.operators.reflect import NaturalGradient
+from fracbench.model.operators.forward import NaturalGradient
 from fracbench.model.params import FlowParams
-from fracbench.model.single_level import PenaltyStep
+from fracbench.model.v_steps import PenaltyStep
 
 
 class Recorder:

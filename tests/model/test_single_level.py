@@ -13,7 +13,7 @@ from fracbench.model.energy import energy
 from fracbench.model.operators.zero import make_operator
 from fracbench.model.params import FlowParams
 from fracbench.model.regularizers import SplitBregman, TVDual
-from fracbench.model.single_level import MultiplierStep, PenaltyStep
+from fracbench.model.v_steps import MultiplierStep, PenaltyStep
 from fracbench.model.warping import Linearization
 
 SHAPE = (5, 6)

@@ -6,16 +6,8 @@ import scipy.ndimage
 
 from fracbench.data.datasets.synthetic.scenes import scene
 from fracbench.errors import InputError
-from fracbench.model.structure import (
-    CLASSES,
-    CORNER,
-    EDGE,
-    FLAT,
-    TEXTURE,
-    errors_by_class,
-    noise_level,
-    structure_classes,
-)
+from fracbench.evaluation.class_errors import errors_by_class
+from fracbench.model.structure import CLASSES, CORNER, EDGE, FLAT, TEXTURE, noise_level, structure_classes
 
 SIZES = (16, 33, 96)
 

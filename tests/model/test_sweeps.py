@@ -5,7 +5,7 @@ import pytest
 import reference_impl as ref
 
 from fracbench.model.operators.base import GradientOperator
-from fracbench.model.operators.reflect import NaturalGradient
+from fracbench.model.operators.forward import NaturalGradient
 from fracbench.model.operators.zero import ZeroGradient, gl_weights, make_operator
 from fracbench.model.sweeps import (
     gauss_seidel_dense,

@@ -13,10 +13,10 @@ from fracbench.figures import curves as figures
 from fracbench.figures import style
 from fracbench.harness.config.experiment import Experiment, load_experiment
 from fracbench.harness.run.plan import make_plan, plan_experiment
+from fracbench.harness.run.tidy import tidy
 from fracbench.studies import registry as artefacts
 from fracbench.studies import tables
 from fracbench.studies.registry import best_values, file_stem, render, require_renderer, split_varying
-from fracbench.studies.tables import tidy
 
 FLAT = "sequence=synthetic_flat"
 

@@ -4,28 +4,27 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import os
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from fracbench.data.files import ensure_folder, write_text
 from fracbench.errors import InputError
 from fracbench.harness.run.plan import make_plan
-from fracbench.studies import tables
+from fracbench.harness.run.tidy import tidy
 from fracbench.studies.tables import (
     CONVENTIONS,
     distance,
-    ensure_folder,
     footnote,
     rounded,
     summary,
-    tidy,
     to_latex,
     to_markdown,
     versus_published,
     wide,
     write_table,
-    write_text,
 )
 
 SEQUENCES = ("grove2", "rubberwhale", "grove3", "hydrangea", "urban2", "dimetrodon", "urban3", "venus")
@@ -306,6 +305,6 @@ def test_a_results_folder_that_cannot_be_is_refused(tmp_path, monkeypatch):
         ensure_folder(tmp_path / "file" / "runs")
     with pytest.raises(InputError, match=r"results folder .*file: cannot be created"):
         ensure_folder(tmp_path / "file")
-    monkeypatch.setattr(tables.os, "access", lambda path, mode: False)
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
     with pytest.raises(InputError, match=r"cannot be written; set paths.results"):
         ensure_folder(tmp_path)

@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import fracbench
-from fracbench.data.names import match_name
-from fracbench.errors import DataError, InputError
+from fracbench.errors import DataError, InputError, match_name
 
 if TYPE_CHECKING:
     from fracbench.data.pair import Sequence

@@ -16,15 +16,16 @@ from threadpoolctl import threadpool_limits
 from fracbench.data.pair import Sequence, load_sequence
 from fracbench.data.regions import Crop, Region, crop
 from fracbench.errors import FracbenchError, InputError
+from fracbench.evaluation.class_errors import errors_by_class
 from fracbench.evaluation.metrics import flow_errors
 from fracbench.harness.run import provenance
-from fracbench.harness.run.memory import peak_mib, reset_peak
 from fracbench.harness.run.message import Outcome
 from fracbench.harness.run.point import Point
+from fracbench.harness.run.provenance import peak_mib, reset_peak
 from fracbench.methods.paper import energy_growth
 from fracbench.methods.registry import get_method
 from fracbench.model.params import FlowParams
-from fracbench.model.structure import errors_by_class, structure_classes
+from fracbench.model.structure import structure_classes
 
 #: A flow has diverged if its regularity is so many times the energy of no flow at all. For a minimiser the ratio
 #: is below 1; it has been seen near 40 where the data term has next to no weight (lambda = 1e-5).

@@ -20,12 +20,13 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
 
-from fracbench.commands import console
 from fracbench.errors import FracbenchError, InputError
 from fracbench.harness.run import provenance
 from fracbench.harness.run.message import Job
 from fracbench.harness.run.store import Row
 from fracbench.model import SOLVER_VERSION
+
+_log = logging.getLogger(__name__)
 
 _CONNECT_SECONDS = 10
 _GATHER_SECONDS = 5.0
@@ -91,7 +92,7 @@ class DaskCrew:
                 "same command goes on from there"
             ) from exc
         if not self._present and not self._next_look:
-            console.note(f"note: {self._address} has no workers yet; waiting for them")
+            _log.warning("%s has no workers yet; waiting for them", self._address)
         self._next_look = time.monotonic() + _POLL_SECONDS
         for worker in self._busy:
             self._misses[worker] = 0 if worker in self._present else self._misses.get(worker, 0) + 1

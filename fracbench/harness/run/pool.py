@@ -17,8 +17,8 @@ from typing import Any, Protocol, TypeVar
 
 from fracbench.errors import FracbenchError
 from fracbench.harness.run import provenance, spool
-from fracbench.harness.run.memory import return_what_is_freed
 from fracbench.harness.run.message import Job
+from fracbench.harness.run.provenance import return_what_is_freed
 from fracbench.harness.run.store import Row
 
 T = TypeVar("T")

@@ -20,6 +20,10 @@ from typing import Any, Self
 from fracbench.errors import FracbenchError, InputError, unknown_name
 from fracbench.harness.run.sqlite import DAMAGED, STATUSES, explain, open_to_read, open_to_write, transaction
 
+#: Where the store and what is computed for pictures are, below the results folder.
+RUNS = "runs"
+STORE = Path(RUNS) / "store.sqlite"
+
 _JSON_COLUMNS = ("spec", "result", "provenance")
 _KEYS_PER_QUERY = 500  # below the number of parameters that any SQLite accepts
 

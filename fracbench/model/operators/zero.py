@@ -16,7 +16,8 @@ from fracbench.model.kernels.line_elimination import LineGains, line_gains, solv
 from fracbench.model.kernels.pointwise import divide_by_sum
 from fracbench.model.kernels.threads import share
 from fracbench.model.operators.base import GradientOperator, System
-from fracbench.model.operators.reflect import NaturalGradient, ReflectGradient
+from fracbench.model.operators.forward import NaturalGradient
+from fracbench.model.operators.reflect import ReflectGradient
 
 BOUNDARIES = ("zero", "reflect", "natural")
 ALPHA_RANGE = (0.0, 2.0)

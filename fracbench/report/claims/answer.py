@@ -7,6 +7,7 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fracbench.data.files import ensure_folder, write_text
 from fracbench.errors import InputError
 from fracbench.figures import style
 from fracbench.figures.cache import draw
@@ -151,12 +152,12 @@ def write_answer(sources: Sources) -> list[Path]:
         Files; without the picture where points are missing or of synthetic scenes.
     """
     note = sources.results / "tables" / f"answer{sources.suffix}.md"
-    files = [tables.write_text(answer_text(sources), note)]
+    files = [write_text(answer_text(sources), note)]
     try:
         table = answer_table(sources)
     except UnjudgeableError:
         return files
-    stem = tables.ensure_folder(sources.results / "figures") / f"answer{sources.suffix}"
+    stem = ensure_folder(sources.results / "figures") / f"answer{sources.suffix}"
     return [*files, tables.write_table(table, stem), *draw(stem, answer_figure, table, TITLE)]
 
 
@@ -216,4 +217,4 @@ def renew(readme: Path, sources: Sources) -> Path:
     renewed, found = re.subn(f"{first}.*?{last}", lambda _: block, text, count=1, flags=re.DOTALL)
     if not found:
         raise InputError(f"{readme}: has no block between {_MARKS[0]} and {_MARKS[1]}")
-    return tables.write_text(renewed, readme)
+    return write_text(renewed, readme)

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fracbench.data.files import write_text
 from fracbench.errors import InputError, unknown_name
 from fracbench.harness.config.paths import asset
 from fracbench.report.claims import region_rules
 from fracbench.report.claims import table_rules as claim_rules
 from fracbench.report.claims.judging import RULES, UNKNOWN, VERDICTS, Tables, UnjudgeableError
-from fracbench.studies.tables import write_text
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -131,7 +131,7 @@ def evaluate(load: Callable[[str], pd.DataFrame | None], claims: Sequence[Claim]
     Parameters
     ----------
     load : callable
-        Gives the tidy table of an experiment (`fracbench.studies.tables.tidy`) by name, None if there is none;
+        Gives the tidy table of an experiment (`fracbench.harness.run.tidy.tidy`) by name, None if there is none;
         asked for the names in `EXPERIMENTS`.
     claims : sequence of Claim, optional
         The project's by default.

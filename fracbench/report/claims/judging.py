@@ -56,7 +56,7 @@ class Tables:
     Parameters
     ----------
     load : callable
-        Gives the table of an experiment (`fracbench.studies.tables.tidy`) by name, or None.
+        Gives the table of an experiment (`fracbench.harness.run.tidy.tidy`) by name, or None.
     """
 
     def __init__(self, load: Callable[[str], pd.DataFrame | None]) -> None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from fracbench.harness.config.paths import asset
+from fracbench.harness.run.tidy import METRICS
 from fracbench.report.claims.judging import (
     CLOSE,
     ERRORS,
@@ -62,7 +63,7 @@ def numbers_met(tables: Tables, setting: str) -> Judgement:
     """Judge how many of Table 2's numbers are met."""
     import pandas as pd
 
-    table = tables.points("table2", report_tables.METRICS, protocol=setting)
+    table = tables.points("table2", METRICS, protocol=setting)
     published = pd.read_csv(asset("results/published/table2.csv"))
     ratio = report_tables.versus_published(table, published)["ratio"]
     if len(ratio) < published.size - 2 * len(published) or ratio.isna().any():

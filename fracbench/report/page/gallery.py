@@ -18,8 +18,9 @@ from fracbench.harness.run.compute_point import point_arrays
 from fracbench.harness.run.flows import flow_file, keep_flow
 from fracbench.harness.run.plan import Plan, make_plan
 from fracbench.harness.run.point import Point
+from fracbench.harness.run.store import RUNS
 from fracbench.report.page.elements import Gallery, Picture, embedded
-from fracbench.report.sources import RUNS, Sources
+from fracbench.report.sources import Sources
 
 #: The shared scale of the error maps ends where so many of all errors are below it.
 _SHOWN_SHARE = 95.0
@@ -115,7 +116,7 @@ def _shown(plan: Plan, sources: Sources) -> list[tuple[str, list[tuple[str, Poin
 
 def compute_flow(point: Point, data: Path | None, path: Path) -> None:
     """Compute a flow that is missing, in a folder that is made; see `missing_flows` and `keep_flow`."""
-    from fracbench.studies.tables import ensure_folder
+    from fracbench.data.files import ensure_folder
 
     ensure_folder(path.parent)
     keep_flow(point, data, path)

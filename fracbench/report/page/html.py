@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from fracbench.data.files import ensure_folder, write_text
 from fracbench.harness.config.experiment import list_experiments
+from fracbench.harness.run.store import RUNS
 from fracbench.report.claims import claims
 from fracbench.report.page import background, exhibits
 from fracbench.report.page import sections as pages
 from fracbench.report.page.beyond import beyond
 from fracbench.report.page.elements import Section, render_page
-from fracbench.report.sources import RUNS, Sources
-from fracbench.studies.tables import ensure_folder, write_text
+from fracbench.report.sources import Sources
 
 _TITLE = "Fractional optical flow: what of the paper holds"
 

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from fracbench.harness.config.paths import asset
+from fracbench.harness.run.tidy import METRICS
 from fracbench.methods.registry import get_method
 from fracbench.report.claims.judging import FAILS, HOLDS, IN_PART, UNKNOWN
 from fracbench.report.page.elements import Block, Cell, Column, Heading, Section, Table, Tallies, Tally, Text
@@ -17,7 +18,6 @@ from fracbench.report.sources import PROTOCOLS, Sources
 from fracbench.studies import tables
 from fracbench.studies.protocols import switch_sentences, switch_table
 from fracbench.studies.solvers.sweeps import SOLVERS, printed_alphas, solver_sentences, solver_summary
-from fracbench.studies.tables import METRICS
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fracbench.data.files import ensure_folder, write_text
 from fracbench.errors import InputError
 from fracbench.harness.config.experiment import Experiment
 from fracbench.harness.run.plan import Plan
 from fracbench.harness.run.point import Point
-from fracbench.harness.run.store import Row
-from fracbench.report.sources import RUNS
+from fracbench.harness.run.store import RUNS, Row
+from fracbench.harness.run.tidy import tidy
 from fracbench.studies import tables
 from fracbench.studies.alpha_map.oracle import compute_oracle, load_maps, load_oracle, oracle_file
 from fracbench.studies.alpha_map.tables import (
@@ -26,9 +27,8 @@ from fracbench.studies.alpha_map.tables import (
     class_orders,
     confusion_table,
 )
-from fracbench.studies.base import Artefact, file_stem
+from fracbench.studies.base import FIGURES, PRIVATE, Artefact, file_stem
 from fracbench.studies.options import AdaptiveAlpha
-from fracbench.studies.paper.figures import FIGURES, PRIVATE
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -54,9 +54,9 @@ def adaptive_alpha(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], 
             raise InputError(f"experiment {experiment.name}: the grid `{part}` is missing")
     _compute_missing(experiment, plan, rows, results)
     oracles = stored_oracles(experiment, plan, results)
-    table = adaptive_table(tables.tidy(plan, rows), oracles)
+    table = adaptive_table(tidy(plan, rows), oracles)
     lines, confusion, spread = adaptive_sentences(table, oracles), confusion_table(oracles), class_orders(oracles)
-    stem = file_stem(experiment.name, plan, tables.ensure_folder(results / "tables"))
+    stem = file_stem(experiment.name, plan, ensure_folder(results / "tables"))
     notes = [*plan.notices, *tables.footnote(rows, ["recommended"])]
     text = [f"# {experiment.title}\n", legend(experiment, oracles) + "\n", "\n\n".join(lines) + "\n"]
     for metric, name in (("aepe", "AEPE [px]"), ("aae", "AAE [rad]")):
@@ -69,8 +69,8 @@ def adaptive_alpha(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], 
     files = [
         tables.write_table(table, stem),
         tables.write_table(confusion, stem.with_name(f"{stem.name}_confusion")),
-        tables.write_text("\n".join(text) + "\n", stem.with_name(f"{stem.name}.md")),
-        tables.write_text(latex, stem.with_name(f"{stem.name}.tex")),
+        write_text("\n".join(text) + "\n", stem.with_name(f"{stem.name}.md")),
+        write_text(latex, stem.with_name(f"{stem.name}.tex")),
     ]
     files += _figure(experiment, plan, results, table, confusion)
     files += _order_pictures(experiment, plan, results, oracles)
@@ -121,10 +121,9 @@ def _oracle_points(plan: Plan) -> dict[str, list[Point]]:
 
 def _compute_missing(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> None:
     """Compute the bounds of the sequences whose points are all done; a kept one is not computed again."""
-    from fracbench.commands import console
     from fracbench.harness.run.pool import side_by_side
 
-    flows, folder = (tables.ensure_folder(results / RUNS / name).resolve() for name in ("flows", "oracles"))
+    flows, folder = (ensure_folder(results / RUNS / name).resolve() for name in ("flows", "oracles"))
     window = options(experiment).window
     todo = [
         (points, plan.folder, flows, window, folder)
@@ -132,11 +131,9 @@ def _compute_missing(experiment: Experiment, plan: Plan, rows: Mapping[str, Row]
         if all(point.key in rows and rows[point.key].status == "done" for point in points)
         and not oracle_file(points, window, folder).is_file()
     ]
-    with console.progress(len(todo), "bounds") as advance:
-        for _ in side_by_side(
-            compute_oracle, todo, plan.config.parallel.jobs, "the bounds that are finished are kept"
-        ):
-            advance()
+    jobs = plan.config.parallel.jobs
+    for _ in side_by_side(compute_oracle, todo, jobs, "the bounds that are finished are kept"):
+        pass
 
 
 def wide(table: pd.DataFrame, column: str) -> pd.DataFrame:
@@ -168,7 +165,7 @@ def _figure(
 
     if table.loc[table["sequence"] == MEAN, "gain"].isna().all():
         return []
-    stem = file_stem(experiment.name, plan, tables.ensure_folder(results / FIGURES))
+    stem = file_stem(experiment.name, plan, ensure_folder(results / FIGURES))
     return draw(stem, gain_panels, table, confusion, experiment.title)
 
 
@@ -182,7 +179,7 @@ def _order_pictures(experiment: Experiment, plan: Plan, results: Path, oracles: 
     items = [item for name in names for item in _maps(name, experiment, plan, results)]
     if not items:
         return []
-    stem = file_stem(f"{experiment.name}_orders", plan, tables.ensure_folder(results / PRIVATE))
+    stem = file_stem(f"{experiment.name}_orders", plan, ensure_folder(results / PRIVATE))
     return draw(stem, frame_panel, order_pictures(items), columns=3, title=order_title(items[0][-1]))
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fracbench.evaluation.selection import leave_one_out
+from fracbench.evaluation.resampling import leave_one_out
 from fracbench.model.structure import CLASSES
 from fracbench.studies.alpha_map.oracle import SCOPES
 

@@ -17,12 +17,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fracbench.data.files import ensure_folder
 from fracbench.errors import InputError
 from fracbench.figures.panels import Curve, Panel, panel_grid
 from fracbench.figures.style import BEHIND, METRICS, PALETTE, equation, symbol
 from fracbench.harness.config.experiment import MAIN, Experiment
 from fracbench.harness.run.plan import Plan
 from fracbench.harness.run.store import Row
+from fracbench.harness.run.tidy import tidy
 from fracbench.studies import tables
 from fracbench.studies.base import Artefact, best_values, file_stem
 
@@ -51,11 +53,11 @@ def alpha_regions(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], r
     """Draw Figure 6 or 7 as the paper has it; beside it with context, and under the other protocols."""
     from fracbench.figures.cache import draw
 
-    table = tables.tidy(plan, rows).reindex(columns=_COLUMNS)
+    table = tidy(plan, rows).reindex(columns=_COLUMNS)
     if MAIN not in set(table["part"]):
         raise InputError(f"experiment {experiment.name}: artefact {experiment.artefact} needs the grid {MAIN!r}")
     story = _Regions(table, _captions(experiment))
-    folder = tables.ensure_folder(results / "figures")
+    folder = ensure_folder(results / "figures")
     artefact = Artefact(views=story.views())
     for kind in story.kinds():
         stem = file_stem(f"{experiment.name}{f'_{kind}' if kind else ''}", plan, folder)

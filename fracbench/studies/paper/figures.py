@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from fracbench.data.files import ensure_folder, write_text
 from fracbench.data.pair import load_sequence
 from fracbench.errors import InputError, unknown_name
 from fracbench.harness.config.compose import SequenceConfig, load_config
@@ -14,23 +15,20 @@ from fracbench.harness.config.experiment import Experiment
 from fracbench.harness.run.plan import Plan
 from fracbench.harness.run.point import canonical_value
 from fracbench.harness.run.store import Row
+from fracbench.harness.run.tidy import tidy
 from fracbench.model.params import FlowParams, ParamInfo, public_name
 from fracbench.studies import tables
-from fracbench.studies.base import Artefact, best_values, file_stem
+from fracbench.studies.base import FIGURES, PRIVATE, Artefact, best_values, file_stem
 
 if TYPE_CHECKING:
     import pandas as pd
     from numpy.typing import NDArray
 
-#: Where pictures with Middlebury's frames in them go: the frames are not ours to publish.
-PRIVATE = "private"
-FIGURES = "figures"
-
 
 def table1(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
     """Write Table 1 from the typed record of the parameters; see `fracbench.studies.base.Renderer`."""
     table = parameter_table()
-    stem = tables.ensure_folder(results / "tables") / experiment.name  # the same on any data and any grid
+    stem = ensure_folder(results / "tables") / experiment.name  # the same on any data and any grid
     shown = table.assign(symbol=[f"${symbol}$" if symbol else "" for symbol in table["symbol"]])
     markdown = shown.to_markdown(index=False, disable_numparse=True)
     escaped = shown.apply(lambda column: column if column.name == "symbol" else column.map(_latex))
@@ -38,8 +36,8 @@ def table1(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results:
     latex = escaped.to_latex(index=False, escape=False, caption=caption, column_format="llp{6cm}lll")
     files = [
         tables.write_table(table, stem),
-        tables.write_text(f"# {experiment.title}\n\n{markdown}\n", stem.with_name(f"{stem.name}.md")),
-        tables.write_text(latex, stem.with_name(f"{stem.name}.tex")),
+        write_text(f"# {experiment.title}\n\n{markdown}\n", stem.with_name(f"{stem.name}.md")),
+        write_text(latex, stem.with_name(f"{stem.name}.tex")),
     ]
     return Artefact(files, [(experiment.title, table.drop(columns="symbol"))])
 
@@ -101,7 +99,7 @@ def frames(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results:
     from fracbench.figures.pictures import frame_panel
 
     items = [_frame(load_config({"sequence": name}).sequence, plan) for name in _option(experiment, "sequences")]
-    stem = file_stem(experiment.name, plan, tables.ensure_folder(results / PRIVATE))
+    stem = file_stem(experiment.name, plan, ensure_folder(results / PRIVATE))
     return Artefact(draw(stem, frame_panel, items, columns=4, title=experiment.title))
 
 
@@ -129,8 +127,8 @@ def region_boxes(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], re
         boxes.setdefault(key, {})[name.rpartition("_")[2]] = box
         bounds = dict(zip(("first_row", "stop_row", "first_column", "stop_column"), box, strict=True))
         records.append({"region": name, "picture": pictures[key][0], **bounds})
-    stem = file_stem(experiment.name, plan, tables.ensure_folder(results / PRIVATE))
-    bounds_stem = file_stem(experiment.name, plan, tables.ensure_folder(results / FIGURES))
+    stem = file_stem(experiment.name, plan, ensure_folder(results / PRIVATE))
+    bounds_stem = file_stem(experiment.name, plan, ensure_folder(results / FIGURES))
     table = pd.DataFrame(records)
     shown = (list(pictures.values()), list(boxes.values()))
     files = draw(stem, frame_panel, shown[0], boxes=shown[1], title=experiment.title)
@@ -159,14 +157,14 @@ def family(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results:
 
     options = dict(experiment.options)
     x, hue = _option(experiment, "x"), _option(experiment, "family")
-    table = tables.tidy(plan, rows)
+    table = tidy(plan, rows)
     swept = [name for name in FlowParams.names() if name in table.columns]
     for name in (x, hue):
         if name not in swept:
             raise unknown_name("parameter", str(name), swept, f"experiment {experiment.name}, options")
     table = table[["protocol", "sequence", "method", hue, x, "aae", "aepe", "status"]]
     looks = {name: options[name] for name in ("styles", "shade", "logx", "logy") if name in options}
-    folder = tables.ensure_folder(results / FIGURES)
+    folder = ensure_folder(results / FIGURES)
     artefact = Artefact()
     for protocol, part in table.groupby("protocol", sort=False):
         place = f"{', '.join(part['sequence'].unique())}, " if plan.stand_in else ""

@@ -13,8 +13,8 @@ import numpy as np
 
 from fracbench.errors import InputError, unknown_name
 from fracbench.harness.run.compute_point import point_arrays
-from fracbench.harness.run.memory import peak_mib, reset_peak
 from fracbench.harness.run.plan import make_plan
+from fracbench.harness.run.provenance import peak_mib, reset_peak
 from fracbench.methods.registry import get_method
 from fracbench.model.params import FlowParams
 from fracbench.model.structure import CLASSES

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fracbench.data.files import ensure_folder, write_text
 from fracbench.harness.config.experiment import Experiment
 from fracbench.harness.run.plan import Plan, make_plan
-from fracbench.harness.run.store import Row
+from fracbench.harness.run.store import RUNS, Row
 from fracbench.studies import tables
 from fracbench.studies.base import Artefact, file_stem
 from fracbench.studies.options import all_options
@@ -30,12 +31,12 @@ def convergence(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], res
     courses, literal = measure(options, plan)
     summary = summarise(courses, options["gap"], literal)
     title = f"{experiment.title}\n{options['region']}, {plan.dataset}"
-    stem = file_stem(experiment.name, plan, tables.ensure_folder(results / "runs" / "convergence"))
+    stem = file_stem(experiment.name, plan, ensure_folder(results / RUNS / "convergence"))
     text = f"# {experiment.title}\n\n{_LEGEND.format(**options)}\n\n{tables.to_markdown(summary)}\n"
     files = [
         tables.write_table(courses, stem),
         tables.write_table(summary, stem.with_name(f"{stem.name}_summary")),
-        tables.write_text(text, stem.with_name(f"{stem.name}.md")),
+        write_text(text, stem.with_name(f"{stem.name}.md")),
         *save_figure(_figure(courses, options["gap"], title), stem),
     ]
     return Artefact(files, [(experiment.title, summary)], [_LEGEND.format(**options)])

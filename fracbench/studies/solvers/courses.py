@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracbench.methods.paper import split_bregman_alpha, v_step
+from fracbench.model.data_terms.brightness import Brightness
 from fracbench.model.energy import energy
 from fracbench.model.kernels.arrays import Array
 from fracbench.model.kernels.pointwise import threshold
 from fracbench.model.operators.zero import gl_weights, make_operator
 from fracbench.model.params import FlowParams
-from fracbench.model.single_level import Brightness
 from fracbench.model.sweeps import gauss_seidel_dense, gauss_seidel_literal
 from fracbench.model.warping import Linearization
 

@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fracbench.data.files import ensure_folder, write_text
 from fracbench.harness.config.experiment import Experiment, load_experiment
 from fracbench.harness.run.plan import Plan
 from fracbench.harness.run.store import Row
+from fracbench.harness.run.tidy import tidy
 from fracbench.studies import tables
 from fracbench.studies.base import Artefact, file_stem
 from fracbench.studies.options import all_options
@@ -34,13 +36,13 @@ def solver_study(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], re
     from fracbench.studies.solvers.figures import solver_panels
 
     options = all_options(experiment)
-    runs = tables.tidy(plan, rows)
+    runs = tidy(plan, rows)
     pairs = runs.drop_duplicates("region").set_index("region")[["theta", "lambda_sb"]]
     summary = solver_summary(runs, pairs, printed_alphas())
     lines = solver_sentences(runs, summary)
 
     def stem(kind: str, folder: str = "tables") -> Path:
-        return file_stem(experiment.name + kind, plan, tables.ensure_folder(results / folder))
+        return file_stem(experiment.name + kind, plan, ensure_folder(results / folder))
 
     spectra, spectra_files = _kept_spectra(stem("_spectra"), pairs, options)
     size, notes = options["size"], [*plan.notices, *tables.footnote(rows, ["reference"])]
@@ -56,7 +58,7 @@ def solver_study(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], re
         tables.write_table(summary, stem("")),
         *spectra_files,
         tables.write_table(runs[_COLUMNS], stem("_runs")),
-        tables.write_text("\n".join(text) + "\n", stem("").with_name(f"{stem('').name}.md")),
+        write_text("\n".join(text) + "\n", stem("").with_name(f"{stem('').name}.md")),
         *draw(stem("", "figures"), solver_panels, spectra, runs, summary, experiment.title),
     ]
     return Artefact(files, [(experiment.title, _short(summary))], lines)

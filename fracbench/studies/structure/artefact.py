@@ -7,14 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fracbench.data.datasets.synthetic.single_structure import LONE
+from fracbench.data.files import ensure_folder, write_text
 from fracbench.data.pair import load_sequence
 from fracbench.errors import InputError
 from fracbench.harness.config.experiment import Experiment
 from fracbench.harness.run.plan import Plan
 from fracbench.harness.run.store import Row
+from fracbench.harness.run.tidy import tidy
 from fracbench.studies import tables
-from fracbench.studies.base import Artefact, file_stem
-from fracbench.studies.paper.figures import FIGURES, PRIVATE
+from fracbench.studies.base import FIGURES, PRIVATE, Artefact, file_stem
 from fracbench.studies.structure.tables import (
     ALL,
     BY_CLASS,
@@ -44,13 +45,13 @@ def alpha_by_structure(experiment: Experiment, plan: Plan, rows: Mapping[str, Ro
     from fracbench.figures.cache import draw
     from fracbench.studies.structure.figures import structure_panels
 
-    runs = tables.tidy(plan, rows)
+    runs = tidy(plan, rows)
     errors = long_table(runs)
     best, curves = best_table(errors, _paper(experiment)), curve_table(errors)
     lines = sentences(best)
 
     def stem(kind: str, folder: str) -> Path:
-        return file_stem(f"{experiment.name}{kind}", plan, tables.ensure_folder(results / folder))
+        return file_stem(f"{experiment.name}{kind}", plan, ensure_folder(results / folder))
 
     files = [tables.write_table(best, stem("", "tables")), tables.write_table(curves, stem("_curves", "tables"))]
     shown = _readable(best)
@@ -59,7 +60,7 @@ def alpha_by_structure(experiment: Experiment, plan: Plan, rows: Mapping[str, Ro
     text = [f"# {experiment.title}\n", legend + "\n", "\n".join(f"- {line}" for line in lines) + "\n"]
     text += [tables.to_markdown(shown) + "\n", "\n\n".join(notes)]
     markdown = stem("", "tables")
-    files.append(tables.write_text("\n".join(text) + "\n", markdown.with_name(f"{markdown.name}.md")))
+    files.append(write_text("\n".join(text) + "\n", markdown.with_name(f"{markdown.name}.md")))
     for part, kind in ((SCENES, ""), (BY_CLASS, "_classes")):
         chosen = _of_figure(curves, part, experiment.options.get("shown_noise"))
         if len(chosen):

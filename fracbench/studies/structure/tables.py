@@ -32,7 +32,7 @@ def long_table(runs: pd.DataFrame) -> pd.DataFrame:
     Parameters
     ----------
     runs : pandas.DataFrame
-        From `fracbench.studies.tables.tidy`.
+        From `fracbench.harness.run.tidy.tidy`.
 
     Returns
     -------

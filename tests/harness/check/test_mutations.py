@@ -23,9 +23,9 @@ from fracbench.harness.run import compute_point as task
 from fracbench.harness.run.plan import Plan, PlannedPoint
 from fracbench.harness.run.point import Point
 from fracbench.harness.run.store import Row
+from fracbench.harness.run.tidy import tidy
 from fracbench.model import SOLVER_VERSION
 from fracbench.model.operators import zero as fractional
-from fracbench.studies.tables import tidy
 
 Part = tuple[str, dict[str, set[str]]]  # a stored table, and which of its rows
 

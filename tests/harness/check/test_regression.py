@@ -12,8 +12,8 @@ from fracbench.harness.check import regression
 from fracbench.harness.check.regression import COUNTED, check, compare, update
 from fracbench.harness.check.tolerances import MEASURED, Tolerance, Tolerances
 from fracbench.harness.run.plan import make_plan
+from fracbench.harness.run.tidy import tidy
 from fracbench.model import SOLVER_VERSION
-from fracbench.studies.tables import tidy
 
 GRID = (
     "sequence=synthetic_flat", "n_scales=1", "n_warps=1", "max_iter=2", "theta={theta}", "alpha=0.5,1",

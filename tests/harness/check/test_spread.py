@@ -21,8 +21,8 @@ from fracbench.harness.check.spread import (
 from fracbench.harness.run.compute_point import run_point
 from fracbench.harness.run.plan import make_plan
 from fracbench.harness.run.provenance import machine
+from fracbench.harness.run.tidy import tidy
 from fracbench.model import SOLVER_VERSION
-from fracbench.studies.tables import tidy
 
 GRID = ["sequence=synthetic_flat", "n_scales=1", "n_warps=1", "max_iter=3", "method=tvl1_sb_alpha", "alpha=0.5,1"]
 

@@ -17,9 +17,8 @@ from pathlib import Path
 
 import pytest
 
-from fracbench.commands import run as session
 from fracbench.harness.run import spool
-from fracbench.harness.run.store import Row, Store
+from fracbench.harness.run.store import STORE, Row, Store
 
 KILLS = int(os.environ.get("FRACBENCH_KILLS", "4"))
 POINTS = 36
@@ -68,7 +67,7 @@ class Sweep:
         return [line.split() for line in self.log.read_text().splitlines()]
 
     def stored(self) -> dict[str, Row]:
-        with Store(self.folder / "results" / session.STORE, readonly=True) as store:
+        with Store(self.folder / "results" / STORE, readonly=True) as store:
             return {row.key: row for row in store.rows("done")}
 
     def wait_for_starts(self, process: subprocess.Popen[str], count: int) -> None:
@@ -90,7 +89,7 @@ class Sweep:
         for what, key, _ in self.lines():
             assert what == "end" or key not in ended, "a finished point was started again"
             ended |= {key} if what == "end" else set()
-        assert not list(spool.folder_of(self.folder / "results" / session.STORE).glob("*.json"))
+        assert not list(spool.folder_of(self.folder / "results" / STORE).glob("*.json"))
 
 
 @pytest.fixture(scope="module")
@@ -196,6 +195,6 @@ def test_a_full_disk_is_one_line_and_the_sweep_goes_on_later(tmp_path, undisturb
     assert "Traceback" not in said
     kept = sweep.stored()
     assert 0 < len(kept) < POINTS
-    with closing(Store(sweep.folder / "results" / session.STORE, readonly=True)) as store:
+    with closing(Store(sweep.folder / "results" / STORE, readonly=True)) as store:
         assert store._db.execute("PRAGMA integrity_check").fetchone() == ("ok",)
     sweep.check(undisturbed, kept)

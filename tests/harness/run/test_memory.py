@@ -10,11 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fracbench.harness.run import memory
+from fracbench.harness.run import provenance
+from fracbench.harness.run.provenance import array_bytes, peak_mib, reset_peak, return_what_is_freed
 
 PIECES = """
 import numpy as np
-from fracbench.harness.run.memory import _LARGE, peak_mib, reset_peak, return_what_is_freed
+from fracbench.harness.run.provenance import _LARGE, peak_mib, reset_peak, return_what_is_freed
 if {give_back}:
     return_what_is_freed()
 np.ones(_LARGE // 2)  # freed at once: by itself, glibc then takes arrays up to that size from its heap
@@ -29,7 +30,7 @@ print(peak_mib())
 FAULTS = """
 import resource
 import numpy as np
-from fracbench.harness.run.memory import return_what_is_freed
+from fracbench.harness.run.provenance import return_what_is_freed
 return_what_is_freed()
 holes = np.ones(2**18)  # what imports have freed, filled
 before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
@@ -45,16 +46,16 @@ def test_arrays_are_counted_at_their_peak():
         for _ in range(2):
             np.ones(10**6)
 
-    assert 8e6 <= memory.array_bytes(work) < 9e6
+    assert 8e6 <= array_bytes(work) < 9e6
 
 
 @pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="the peak cannot be reset here")
 def test_the_peak_is_that_since_the_reset():
     np.ones(2 * 10**7)
-    memory.reset_peak()
-    before = memory.peak_mib()
+    reset_peak()
+    before = peak_mib()
     np.ones(10**7)
-    assert 70 <= memory.peak_mib() - before <= 90
+    assert 70 <= peak_mib() - before <= 90
 
 
 @pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="the peak cannot be reset here")
@@ -72,5 +73,5 @@ def test_pages_of_small_arrays_are_not_taken_anew_each_time():
 
 
 def test_another_c_library_is_left_alone(monkeypatch):
-    monkeypatch.setattr(memory.ctypes, "CDLL", lambda name: object())
-    memory.return_what_is_freed()
+    monkeypatch.setattr(provenance.ctypes, "CDLL", lambda name: object())
+    return_what_is_freed()

@@ -7,15 +7,10 @@ import pytest
 import reference_impl as ref
 import scipy.optimize
 
-from fracbench.model.data_terms.gradients import (
-    ChannelStep,
-    ImageAndGradient,
-    TwoSided,
-    coupled_thresholds,
-    five_point_gradient,
-)
+from fracbench.model.data_terms.brightness import Brightness, TwoSided, five_point_gradient
+from fracbench.model.data_terms.gradients import ImageAndGradient
 from fracbench.model.params import FlowParams
-from fracbench.model.single_level import Brightness, MultiplierStep
+from fracbench.model.v_steps import ChannelStep, MultiplierStep, coupled_thresholds
 from fracbench.model.warping import Linearization, central_gradient, interleave
 
 LAMBDAS, THETA, STEP = np.array([0.3, 1.2, 0.7]), 0.4, 3.0

@@ -7,14 +7,19 @@ import pytest
 import reference_impl as ref
 
 from fracbench.errors import InputError
+from fracbench.methods import alpha_map
 from fracbench.methods.registry import get_method
-from fracbench.model import pyramid
-from fracbench.model.data_terms import occlusion as beyond
-from fracbench.model.data_terms.gradients import ChannelStep, ImageAndGradient, TwoSided
+from fracbench.model import flow_filters, pyramid
+from fracbench.model.data_terms import choose
+from fracbench.model.data_terms.brightness import Brightness, TwoSided
+from fracbench.model.data_terms.choose import make_residual, residual_factory
+from fracbench.model.data_terms.gradients import ImageAndGradient
+from fracbench.model.data_terms.occlusion import Visibility, visibility
 from fracbench.model.data_terms.texture import textures
-from fracbench.model.flow_filters import median, visibility
+from fracbench.model.flow_filters import median, refiner
 from fracbench.model.params import FlowParams
-from fracbench.model.single_level import Brightness, MultiplierStep
+from fracbench.model.regularizers import edge_weights
+from fracbench.model.v_steps import ChannelStep, MultiplierStep, channel_step
 
 SHORT = {"n_warps": 2, "max_iter": 5, "eta": 0.6, "dtype": "float64"}
 #: Every ingredient, at a size that acts on small frames.
@@ -46,7 +51,7 @@ def all_orders(alpha):
 
 def test_edge_weights_are_their_formula():
     image = np.random.default_rng(2).uniform(0.0, 255.0, (7, 9))
-    got = beyond.edge_weights(image, 0.3, 0.8)
+    got = edge_weights(image, 0.3, 0.8)
     padded = np.pad(image, 1, mode="edge")
     expected = np.empty_like(image)
     for i, j in np.ndindex(image.shape):
@@ -59,17 +64,17 @@ def test_edge_weights_are_their_formula():
 
 def test_without_decay_or_without_edges_all_weights_are_1():
     image = np.random.default_rng(2).uniform(0.0, 255.0, (7, 9)).astype(np.float32)
-    for got in (beyond.edge_weights(image, 0.0, 0.5), beyond.edge_weights(0.0 * image, 1.0, 0.5)):
+    for got in (edge_weights(image, 0.0, 0.5), edge_weights(0.0 * image, 1.0, 0.5)):
         np.testing.assert_array_equal(got, 1.0)
         assert got.dtype == np.float32
 
 
 def test_what_is_off_is_not_there(frames):
     params = FlowParams(dtype="float64")
-    assert type(beyond.residual(*frames, params)) is Brightness
-    assert beyond.channel_step(np.zeros((2, 26, 31)), params) is None
-    assert beyond.refiner(*frames, params) is None
-    assert beyond.data(*frames, params) is beyond.residual
+    assert type(make_residual(*frames, params)) is Brightness
+    assert channel_step(np.zeros((2, 26, 31)), params) is None
+    assert refiner(*frames, params) is None
+    assert residual_factory(*frames, params) is make_residual
 
 
 @pytest.mark.parametrize(
@@ -97,20 +102,20 @@ def test_the_papers_methods_know_nothing_of_it(frames, method):
 def test_the_parts_are_those_asked_for(frames):
     some = FlowParams(dtype="float64", derivatives="both")
     more = some.replace({"lambda_gradient": 1.0})
-    assert type(beyond.residual(*frames, some)) is TwoSided
-    assert type(beyond.residual(*frames, more)) is ImageAndGradient
-    assert type(beyond.channel_step(np.zeros((2, 26, 31)), more)) is ChannelStep
+    assert type(make_residual(*frames, some)) is TwoSided
+    assert type(make_residual(*frames, more)) is ImageAndGradient
+    assert type(channel_step(np.zeros((2, 26, 31)), more)) is ChannelStep
 
 
 def test_the_plain_filter_is_the_median_of_the_flow(frames):
     noisy = np.random.default_rng(4).normal(size=(2, 26, 31))
-    refine = beyond.refiner(*frames, FlowParams(dtype="float64", median_radius=2))
+    refine = refiner(*frames, FlowParams(dtype="float64", median_radius=2))
     np.testing.assert_array_equal(refine(noisy), median(noisy, 5))
 
 
 def test_the_weighted_filter_leaves_smooth_flow_to_the_plain_one(frames):
     """Far from motion edges both filters together are the plain one; a step brings the other in."""
-    refine = beyond.refiner(*frames, FlowParams(dtype="float64", median_radius=1, weighted_radius=2))
+    refine = refiner(*frames, FlowParams(dtype="float64", median_radius=1, weighted_radius=2))
     y, x = np.mgrid[:26, :31]
     smooth = np.stack([0.01 * x, 0.02 * y])
     np.testing.assert_array_equal(refine(smooth), median(smooth, 3))
@@ -135,7 +140,7 @@ def test_a_translation_is_found_with_everything_on(frames):
 @pytest.mark.parametrize("gradients", [False, True])
 def test_transposing_the_frames_transposes_the_flow(frames, gradients, monkeypatch):
     """With gradients where each v-step is solved: a few rounds treat the channels in the order x, y."""
-    monkeypatch.setattr("fracbench.model.data_terms.gradients.ROUNDS", 1000)
+    monkeypatch.setattr("fracbench.model.v_steps.ROUNDS", 1000)
     values = {**EVERYTHING, "lambda_gradient": 0.3 * gradients, **SHORT, "max_iter": 3}
     transposed = flow([f.T.copy() for f in frames], **values)
     tolerance = 5e-3 if gradients else 1e-12
@@ -186,12 +191,17 @@ def test_guides_see_the_gray_levels(frames, monkeypatch):
     """Classes, weights of edges, filter and visibility are given the same frames with textures as without."""
     seen: dict[float, list] = {0.0: [], 0.9: []}
 
-    def spy(name):
-        real = getattr(beyond, name)
-        monkeypatch.setattr(beyond, name, lambda image, *rest: seen[share].append(image) or real(image, *rest))
+    def spy(module, name):
+        real = getattr(module, name)
+        monkeypatch.setattr(module, name, lambda image, *rest: seen[share].append(image) or real(image, *rest))
 
-    for name in ("edge_weights", "Visibility", "FlowFilter"):
-        spy(name)
+    for module, name in (
+        (alpha_map, "edge_weights"),
+        (choose, "Visibility"),
+        (flow_filters, "Visibility"),
+        (flow_filters, "FlowFilter"),
+    ):
+        spy(module, name)
     for share in seen:
         flow(frames, **{**EVERYTHING, "texture": share})
     assert len(seen[0.0]) == len(seen[0.9]) > 6
@@ -210,10 +220,8 @@ def hidden(shape=(26, 31)):
 def test_data_count_as_much_as_they_are_seen(frames, values):
     params = FlowParams(dtype="float64", **values)
     u = hidden()
-    plain, weighted = (
-        beyond.data(*frames, chosen)(*frames, chosen).at(u)
-        for chosen in (params, params.replace({"occlusion": "both"}))
-    )
+    both = params.replace({"occlusion": "both"})
+    plain, weighted = (residual_factory(*frames, chosen)(*frames, chosen).at(u) for chosen in (params, both))
     linear = Brightness(*frames, FlowParams(dtype="float64")).at(u)
     expected = visibility(u, linear.rho_c + linear.gradient[0] * u[0] + linear.gradient[1] * u[1])
     assert expected.min() < 0.01 and expected.max() > 0.9
@@ -226,8 +234,8 @@ def test_weighing_the_residual_is_thresholding_with_a_lambda_of_each_pixel(frame
     params = FlowParams(dtype="float64", occlusion="both")
     u = hidden()
     plain = Brightness(*frames, params).at(u)
-    weights = beyond.Visibility(*frames, params).of(u)
-    target = MultiplierStep(u, params).target(u, beyond.residual(*frames, params).at(u))
+    weights = Visibility(*frames, params).of(u)
+    target = MultiplierStep(u, params).target(u, make_residual(*frames, params).at(u))
     tau, g2 = params.theta + params.coupling_step, np.square(plain.gradient).sum(axis=0)
     rho = plain.rho_c + (plain.gradient * u).sum(axis=0)
     limit = params.lambda_ * weights
@@ -241,9 +249,9 @@ def test_where_there_is_no_flow_yet_all_is_seen(frames):
     far = 20.0 * frames[0], 20.0 * np.roll(frames[1], 9, axis=1)
     params = FlowParams(dtype="float64", occlusion="both")
     start = np.zeros((2, 26, 31))
-    assert beyond.Visibility(*far, params).of(start).min() < 0.1
+    assert Visibility(*far, params).of(start).min() < 0.1
     plain, weighted = (
-        beyond.residual(*far, params.replace({"occlusion": occlusion})).at(start) for occlusion in ("none", "both")
+        make_residual(*far, params.replace({"occlusion": occlusion})).at(start) for occlusion in ("none", "both")
     )
     for one, other in zip(plain, weighted, strict=True):
         np.testing.assert_array_equal(one, other)
@@ -253,10 +261,12 @@ def test_without_visibility_all_neighbours_count_alike(frames, monkeypatch):
     """The filter's numbers are those of a visibility that is 1 everywhere; with it they are others."""
     u = hidden()
     filters = {name: FlowParams(dtype="float64", weighted_radius=2, occlusion=name) for name in ("median", "none")}
-    found = {name: beyond.refiner(*frames, params)(u) for name, params in filters.items()}
+    found = {name: refiner(*frames, params)(u) for name, params in filters.items()}
     assert (found["median"] != found["none"]).any()
-    monkeypatch.setattr("fracbench.model.flow_filters.visibility", lambda flow, residual: np.ones_like(residual))
-    np.testing.assert_array_equal(beyond.refiner(*frames, filters["median"])(u), found["none"])
+    monkeypatch.setattr(
+        "fracbench.model.data_terms.occlusion.visibility", lambda flow, residual: np.ones_like(residual)
+    )
+    np.testing.assert_array_equal(refiner(*frames, filters["median"])(u), found["none"])
 
 
 def test_gradients_need_the_multiplier(frames):

@@ -10,8 +10,7 @@ from numba import config
 
 from fracbench import estimate_flow
 from fracbench.errors import InputError
-from fracbench.model import regularizers
-from fracbench.model import single_level as solver
+from fracbench.model import regularizers, v_steps
 from fracbench.model.kernels import threads as threads_module
 from fracbench.model.kernels.cosine import LINES
 from fracbench.model.kernels.threads import count, each, share, use_threads, worth_threads
@@ -84,7 +83,7 @@ def test_an_error_in_any_thread_is_raised():
 )
 def test_the_flow_does_not_depend_on_the_number_of_threads(method, boundary, monkeypatch):
     monkeypatch.setattr(threads_module, "LEAST_PIXELS", 0)  # all scales, and all that is shared
-    monkeypatch.setattr(solver, "LEAST_LIGHT_LINES", 64)
+    monkeypatch.setattr(v_steps, "LEAST_LIGHT_LINES", 64)
     monkeypatch.setattr(fractional, "BLOCK_ROWS", 50)
     rng = np.random.default_rng(2)
     frame0 = rng.uniform(0, 255, (150, 210))

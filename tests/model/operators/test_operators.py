@@ -10,7 +10,8 @@ import scipy.special
 
 from fracbench.errors import InputError
 from fracbench.model.operators.base import GradientOperator
-from fracbench.model.operators.reflect import NaturalGradient, ReflectGradient
+from fracbench.model.operators.forward import NaturalGradient
+from fracbench.model.operators.reflect import ReflectGradient
 from fracbench.model.operators.zero import (
     LEAST_SUMMED,
     LeftDerivative,

@@ -174,7 +174,7 @@ def test_classes_are_those_of_whole_frames():
 
 
 def test_both_parts_become_one_form(small):
-    from fracbench.studies.tables import tidy
+    from fracbench.harness.run.tidy import tidy
 
     _, plan, rows = small
     table = long_table(tidy(plan, rows))

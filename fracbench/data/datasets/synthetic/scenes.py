@@ -27,9 +27,8 @@ from fracbench.data.datasets.synthetic.rendering import (
     true_flow,
 )
 from fracbench.data.datasets.synthetic.single_structure import BUILDERS, LONE
-from fracbench.data.names import match_name
 from fracbench.data.pair import Sequence
-from fracbench.errors import InputError
+from fracbench.errors import InputError, match_name
 
 GENERATOR_VERSION = 1  # part of every digest: raise it whenever a rendered value may change
 SCENES = ("flat", "edge", "corner", "parallax", "rotation", "zoom", "occlusion", "large")

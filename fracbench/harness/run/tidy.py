@@ -1,0 +1,83 @@
+"""The tidy table of a plan: one row a point, labels, parameters and errors in columns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from fracbench.harness.run.plan import Plan
+from fracbench.harness.run.store import Row
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+METRICS = ("aae", "aepe", "sdae")
+
+
+#: Columns of a tidy table that are computed. Seconds are not among them: they differ from run to run, and
+#: a table that is computed again must not differ by a byte. They are in the store.
+COUNTS = ("n_pixels", "n_unknown", "n_nonfinite")
+
+
+RESULT_COLUMNS = (*METRICS, *COUNTS)
+
+
+def tidy(plan: Plan, rows: Mapping[str, Row]) -> pd.DataFrame:
+    """Return one row a planned point: labels, parameters, errors, iterations, how it ended.
+
+    Parameters
+    ----------
+    plan : Plan
+        The points, in order.
+    rows : mapping of str to Row
+        By key; points without a row have the status ``missing``.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Parameters that are numbers in every row are numbers; failed points have NaN errors.
+    """
+    import pandas as pd
+
+    records = []
+    blank = dict.fromkeys((label for planned in plan.points for label in planned.labels), "")
+    for planned in plan.points:
+        row = rows.get(planned.point.key)
+        result = row.result if row else {}
+        record: dict[str, Any] = {**blank, **planned.labels, **planned.point.params}
+        record.update({name: result.get(name) for name in RESULT_COLUMNS})
+        for name, errors in result.get("classes", {}).items():
+            record.update({f"{metric}_{name}": errors[metric] for metric in METRICS})
+        record["iterations"] = _total(result.get("iterations"))
+        record["inner_iterations"] = _total(result.get("inner_iterations"))
+        record["stop"] = result.get("stop")
+        record["status"] = row.status if row else "missing"
+        record["error"] = row.error if row else None
+        record["key"] = planned.point.key
+        records.append(record)
+    table = pd.DataFrame.from_records(records)
+    for column in table.columns:
+        if column in METRICS or column in _parameter_names():
+            table[column] = _as_numbers(table[column])
+    # A point that failed has no counts; those of the others stay whole numbers.
+    return table.astype(dict.fromkeys((*COUNTS, "iterations", "inner_iterations"), "Int64"))
+
+
+def _total(levels: Sequence[Sequence[int]] | None) -> int | None:
+    return None if levels is None else sum(sum(level) for level in levels)
+
+
+def _parameter_names() -> tuple[str, ...]:
+    from fracbench.model.params import FlowParams
+
+    return FlowParams.names()
+
+
+def _as_numbers(column: pd.Series) -> pd.Series:
+    import pandas as pd
+
+    try:
+        return pd.to_numeric(column)
+    except (ValueError, TypeError):
+        return column

@@ -1,0 +1,49 @@
+"""The data term that a set of parameters asks for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from fracbench.model import pyramid
+from fracbench.model.data_terms.brightness import Brightness, Residual, TwoSided
+from fracbench.model.data_terms.gradients import ImageAndGradient
+from fracbench.model.data_terms.occlusion import SeenInBoth, Visibility
+from fracbench.model.data_terms.texture import textures
+from fracbench.model.kernels.arrays import Array
+from fracbench.model.params import FlowParams
+
+
+def residual_factory(
+    frame0: Array, frame1: Array, params: FlowParams
+) -> Callable[[Array, Array, FlowParams], Residual]:
+    """Return the function that makes the residual of each scale from both frames there.
+
+    Textures are taken at full resolution and follow the frames down the pyramid (Wedel et al. 2009): a coarse
+    scale's own would lack what long motions are found by.
+
+    Parameters
+    ----------
+    frame0, frame1 : ndarray, shape (H, W)
+        The frames as they came; what is seen in both is told by them, not by their textures.
+    params : FlowParams
+        Parameters.
+    """
+    if not params.texture:
+        return make_residual
+    pair = textures(*pyramid.stretch(frame0, frame1, np.dtype(params.dtype)), params.texture)
+    shapes = pyramid.scale_shapes(frame0.shape, params.eta, params.n_scales)
+    scales = [pyramid.build(pyramid.smooth(t, params.presmoothing), shapes, params.eta) for t in pair]
+    by_shape = dict(zip(shapes, zip(*scales, strict=True), strict=True))
+    return lambda frame0, frame1, params: make_residual(frame0, frame1, params, by_shape[frame0.shape])
+
+
+def make_residual(
+    frame0: Array, frame1: Array, params: FlowParams, images: tuple[Array, Array] | None = None
+) -> Residual:
+    """Return the data of a scale that `params` ask for: of the frames, or of `images` in their place."""
+    plain = TwoSided if params.derivatives == "both" else Brightness
+    kind = ImageAndGradient if params.lambda_gradient else plain
+    found: Residual = kind(*(images or (frame0, frame1)), params)
+    return SeenInBoth(found, Visibility(frame0, frame1, params)) if params.occlusion == "both" else found

@@ -1,0 +1,52 @@
+"""Forward differences without flux through the border: the gradient of Algorithm 3 and of TV-L1."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fracbench.model.kernels.arrays import Array
+from fracbench.model.kernels.cosine import cosine, cosine_back
+from fracbench.model.kernels.forward_rows import column_pivots, differences, right_hand_side, solve_columns
+from fracbench.model.kernels.threads import share
+from fracbench.model.operators.base import System
+from fracbench.model.operators.reflect import CosineGradient
+
+
+class NaturalGradient(CosineGradient):
+    """Forward differences without flux through the border: the gradient of Algorithm 3 and of TV-L1.
+
+    Its u-step takes one transform: with x in the cosine basis, each column is a tridiagonal system of its own.
+    """
+
+    def apply(self, u: Array) -> Array:
+        d = np.zeros(self.range_shape, self.dtype)
+        np.subtract(u[:, 1:], u[:, :-1], out=d[0, 0, :, :-1])
+        np.subtract(u[1:], u[:-1], out=d[0, 1, :-1])
+        return d
+
+    def adjoint(self, d: Array) -> Array:
+        result = np.zeros(self.shape, self.dtype)
+        dx, dy = d[0, 0, :, :-1], d[0, 1, :-1]
+        result[:, 1:] += dx
+        result[:, :-1] -= dx
+        result[1:] += dy
+        result[:-1] -= dy
+        return result
+
+    def differentiate(self, u: Array, d: Array) -> None:
+        differences(u, d)
+
+    def solve(self, v: Array, w: Array, theta: float, mu: float, system: System, u: Array) -> None:
+        height, width = self.shape
+        (inverse,) = system
+        right_hand_side(v, w, theta, mu, u)
+        plan, one = self._plan_x, self._one_x
+        share(lambda a, b: cosine(u, 1, a, b, one, plan, u), height)
+        share(lambda a, b: solve_columns(u, mu, inverse, a, b), width)
+        share(lambda a, b: cosine_back(u, 1, a, b, one, plan, u), height)
+        self.differentiate(u, w)
+
+    def factor(self, theta: float, mu: float) -> System:
+        """Return the pivots of the columns' tridiagonal systems that the DCT-II along x leaves."""
+        _, lx = self.eigenvalues()
+        return (column_pivots(1.0 / theta + mu * lx, mu, self.shape[0], self.dtype),)

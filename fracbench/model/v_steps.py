@@ -1,0 +1,210 @@
+"""The v-step: a pixel-wise minimisation, with the paper's penalty or with a multiplier."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from fracbench.errors import InputError
+from fracbench.model.kernels.arrays import Array, aligned
+from fracbench.model.kernels.jit import jit
+from fracbench.model.kernels.pointwise import GRADIENT_IS_ZERO, coupled_threshold, threshold
+from fracbench.model.kernels.threads import LEAST_LIGHT_LINES, share
+from fracbench.model.params import FlowParams
+from fracbench.model.warping import Linearization
+
+
+class VStep(Protocol):
+    """What the alternation asks of a v-step: the flow that the u-step is to regularise."""
+
+    def relinearised(self) -> None:
+        """Take note that the residual is another one from now on."""
+        ...
+
+    def restart(self) -> None:
+        """Forget the state kept between iterations."""
+        ...
+
+    def target(self, u: Array, linear: Linearization) -> Array:
+        """Return the next target, (2, H, W); it is overwritten by the next call."""
+        ...
+
+
+class PenaltyStep:
+    """The paper's v-step: the target is v itself.
+
+    Parameters
+    ----------
+    like : ndarray, shape (2, H, W)
+        A flow of the scale.
+    params : FlowParams
+        Data attachment weight and tightness.
+    """
+
+    def __init__(self, like: Array, params: FlowParams) -> None:
+        self._v = aligned(like.shape, like.dtype)
+        self._lambda_theta = params.lambda_ * params.theta
+
+    def relinearised(self) -> None:
+        """Keep no state."""
+
+    def restart(self) -> None:
+        """Keep no state."""
+
+    def target(self, u: Array, linear: Linearization) -> Array:
+        """Return v; see `VStep`."""
+        threshold(u, linear.rho_c, linear.gradient, self._lambda_theta, self._v)
+        return self._v
+
+
+class MultiplierStep:
+    """The v-step with a multiplier kept between iterations and warps; see `coupled_threshold`.
+
+    Parameters
+    ----------
+    like : ndarray, shape (2, H, W)
+        A flow of the scale.
+    params : FlowParams
+        Data attachment weight, tightness, step and relaxation.
+    """
+
+    def __init__(self, like: Array, params: FlowParams) -> None:
+        self._c, self._target = (aligned(like.shape, like.dtype) for _ in range(2))
+        self._params = params
+        self._fresh = True
+
+    def relinearised(self) -> None:
+        """Not relax towards the w of another residual."""
+        self._fresh = True
+
+    def restart(self) -> None:
+        """Set the multiplier to 0."""
+        self._c[...] = 0.0
+
+    def target(self, u: Array, linear: Linearization) -> Array:
+        """Return ``w - c``; see `VStep`."""
+        p = self._params
+        settings = p.lambda_, p.theta, p.coupling_step, self._relaxation()
+        state = self._c, self._target
+        share(lambda a, b: coupled_threshold(u, *linear, *settings, *state, a, b), u.shape[1], LEAST_LIGHT_LINES)
+        return self._target
+
+    def _relaxation(self) -> float:
+        """Return the over-relaxation of this iteration: none where the last w belongs to another residual."""
+        fresh, self._fresh = self._fresh, False
+        return 1.0 if fresh else self._params.relaxation
+
+
+#: Rounds over the channels in a v-step; it starts where the last one ended.
+ROUNDS = 2
+
+
+class ChannelStep(MultiplierStep):
+    """The v-step of several channels with a multiplier: `MultiplierStep` for a data term that is a sum.
+
+    Parameters
+    ----------
+    like : ndarray, shape (2, H, W)
+        A flow of the scale.
+    params : FlowParams
+        Data attachment weights, tightness, step and relaxation.
+    """
+
+    def __init__(self, like: Array, params: FlowParams) -> None:
+        super().__init__(like, params)
+        self._lambdas = np.array([params.lambda_, params.lambda_gradient, params.lambda_gradient], like.dtype)
+        self._duals = np.zeros((len(self._lambdas), *like.shape[1:]), like.dtype)
+
+    def target(self, u: Array, linear: Linearization) -> Array:
+        """Return ``w - c``; see `fracbench.model.v_steps.VStep`."""
+        data = u, *linear, self._lambdas
+        settings = self._params.theta, self._params.coupling_step, self._relaxation()
+        state = self._duals, self._c, self._target
+        share(lambda a, b: coupled_thresholds(*data, *settings, *state, ROUNDS, a, b), u.shape[1])
+        return self._target
+
+
+@jit
+def coupled_thresholds(
+    u: Array,
+    rho_c: Array,
+    gradient: Array,
+    lambdas: Array,
+    theta: float,
+    step: float,
+    relaxation: float,
+    duals: Array,
+    c: Array,
+    target: Array,
+    rounds: int,
+    start: int,
+    stop: int,
+) -> None:
+    """Take the v-step for ``F(w) = min_v |w - v|^2 / (2 theta) + sum_k lambda_k |rho_k(v)|``.
+
+    As `kernels.pointwise.coupled_threshold`, but v is found by its duals: ``v = z - (theta + step) sum_k
+    p_k grad_k`` with ``|p_k| <= lambda_k``, one after the other the best p_k for the others. For one channel one
+    round is the thresholding operator TH.
+
+    Parameters
+    ----------
+    u : ndarray, shape (2, H, W)
+        Flow.
+    rho_c, gradient : ndarray, shapes (K, H, W) and (K, 2, H, W)
+        The residuals.
+    lambdas : ndarray, shape (K,)
+        Data attachment weights.
+    theta, step, relaxation
+        See `fracbench.model.kernels.pointwise.coupled_threshold`.
+    duals : ndarray, shape (K, H, W)
+        ``p_k``, overwritten by the next.
+    c, target : ndarray, shape (2, H, W)
+        See `fracbench.model.kernels.pointwise.coupled_threshold`.
+    rounds : int
+        How often each dual is renewed.
+    start, stop : int
+        The rows of the image to take.
+    """
+    part = step / (step + theta)
+    tau = theta + step
+    width = u.shape[2]
+    for i in range(start, stop):
+        for j in range(width):
+            c1, c2 = c[0, i, j], c[1, i, j]
+            z1 = c1 + relaxation * u[0, i, j] + (1.0 - relaxation) * (target[0, i, j] + c1)
+            z2 = c2 + relaxation * u[1, i, j] + (1.0 - relaxation) * (target[1, i, j] + c2)
+            move1, move2 = 0.0, 0.0
+            for k in range(lambdas.size):
+                move1 -= tau * duals[k, i, j] * gradient[k, 0, i, j]
+                move2 -= tau * duals[k, i, j] * gradient[k, 1, i, j]
+            for _ in range(rounds):
+                for k in range(lambdas.size):
+                    gx, gy, old, new = gradient[k, 0, i, j], gradient[k, 1, i, j], duals[k, i, j], 0.0
+                    g2 = gx * gx + gy * gy
+                    if g2 >= GRADIENT_IS_ZERO:
+                        rho = rho_c[k, i, j] + gx * (z1 + move1) + gy * (z2 + move2)
+                        new = min(max(old + rho / (tau * g2), -lambdas[k]), lambdas[k])
+                    move1 -= tau * (new - old) * gx
+                    move2 -= tau * (new - old) * gy
+                    duals[k, i, j] = new
+            move1 *= part
+            move2 *= part
+            c[0, i, j], c[1, i, j] = -move1, -move2
+            target[0, i, j] = z1 + 2.0 * move1
+            target[1, i, j] = z2 + 2.0 * move2
+
+
+def channel_step(like: Array, params: FlowParams) -> VStep | None:
+    """Return the v-step for more data than brightness, or None if `params` ask for none.
+
+    Raises
+    ------
+    InputError
+        With the penalty coupling, which has no such step.
+    """
+    if not params.lambda_gradient:
+        return None
+    if params.coupling != "multiplier":
+        raise InputError(f"`lambda_gradient` needs coupling=multiplier, got {params.coupling}")
+    return ChannelStep(like, params)
