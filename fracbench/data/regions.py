@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from fracbench.data.pair import Sequence
+from fracbench.data.pair import FramePair
 from fracbench.errors import InputError
 
 Crop = tuple[
@@ -63,12 +63,12 @@ class Region:
         return self.rows[1] - self.rows[0], self.cols[1] - self.cols[0]
 
 
-def crop(sequence: Sequence, region: Region, context: int = 0) -> Crop:
+def crop(sequence: FramePair, region: Region, context: int = 0) -> Crop:
     """Cut a region out of a sequence.
 
     Parameters
     ----------
-    sequence : Sequence
+    sequence : FramePair
         The sequence the region belongs to.
     region : Region
         The box.

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from fracbench.data.pair import load_sequence
+from fracbench.data.datasets.registry import load_sequence
 from fracbench.harness.run import compute_point as task
 from fracbench.harness.run.compute_point import hold, run_point
 from fracbench.harness.run.plan import make_plan

@@ -3,11 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fracbench.data.pair import Sequence, list_sequences, load_sequence
+from fracbench.data.datasets.registry import list_sequences, load_sequence
+from fracbench.data.pair import FramePair
 from fracbench.errors import InputError
 
 
-def make(**changes) -> Sequence:
+def make(**changes) -> FramePair:
     fields = {
         "name": "a",
         "dataset": "synthetic",
@@ -16,7 +17,7 @@ def make(**changes) -> Sequence:
         "truth": np.zeros((2, 3, 4)),
         "digest": "0" * 64,
     }
-    return Sequence(**{**fields, **changes})
+    return FramePair(**{**fields, **changes})
 
 
 def test_arrays_are_frozen_copies_of_the_right_dtype():

@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fracbench.data.pair import Sequence
+from fracbench.data.pair import FramePair
 from fracbench.data.regions import Region, crop, shifted
 from fracbench.errors import InputError
 
 H, W = 30, 41
 FRAME = np.arange(float(H * W)).reshape(H, W)
-SEQUENCE = Sequence("S", "synthetic", FRAME, FRAME + 0.5, np.stack([FRAME, -FRAME]), "0" * 64)
+SEQUENCE = FramePair("S", "synthetic", FRAME, FRAME + 0.5, np.stack([FRAME, -FRAME]), "0" * 64)
 
 
 def bounds(size: int) -> st.SearchStrategy[tuple[int, int]]:
@@ -33,7 +33,7 @@ def test_crop_is_the_grown_box_and_inner_the_box_itself(rows, cols, context):
 
 
 def test_crop_without_truth():
-    sequence = Sequence("s", "synthetic", FRAME, FRAME, None, "0" * 64)
+    sequence = FramePair("s", "synthetic", FRAME, FRAME, None, "0" * 64)
     assert crop(sequence, Region("r", "S", (0, 5), (0, 5)))[2] is None
 
 

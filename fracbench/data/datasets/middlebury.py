@@ -14,10 +14,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import fracbench
+from fracbench.data.datasets.base import Dataset
 from fracbench.errors import DataError, InputError, match_name
 
 if TYPE_CHECKING:
-    from fracbench.data.pair import Sequence
+    from fracbench.data.pair import FramePair
 
 SEQUENCES = ("Grove2", "Grove3", "Urban2", "Urban3", "RubberWhale", "Hydrangea", "Dimetrodon", "Venus")
 SIZES = {  # height, width
@@ -265,7 +266,7 @@ def contents(sequence: str, folder: str | Path) -> dict[str, bytes]:
     return _verified(match_name(sequence, SEQUENCES, "Middlebury sequence"), folder)[0]
 
 
-def load(sequence: str, folder: str | Path) -> Sequence:
+def load(sequence: str, folder: str | Path) -> FramePair:
     """Load frames 10 and 11 and the true flow of a sequence; each file is verified as it is read.
 
     Parameters
@@ -277,7 +278,7 @@ def load(sequence: str, folder: str | Path) -> Sequence:
 
     Returns
     -------
-    Sequence
+    FramePair
         Gray frames, true flow and the first frame in colour.
 
     Raises
@@ -287,12 +288,12 @@ def load(sequence: str, folder: str | Path) -> Sequence:
     """
     from fracbench.data.files import decode_flo, decode_image
     from fracbench.data.gray import to_gray
-    from fracbench.data.pair import Sequence
+    from fracbench.data.pair import FramePair
 
     sequence = match_name(sequence, SEQUENCES, "Middlebury sequence")
     content, identity = _verified(sequence, folder)
     frame0, frame1 = (decode_image(content[file], f"{sequence}/{file}") for file in _FRAMES_AND_TRUTH[:2])
-    return Sequence(
+    return FramePair(
         name=sequence,
         dataset="middlebury",
         frame0=to_gray(frame0).astype(float),
@@ -372,3 +373,16 @@ def resolve(dataset: str, explicit: str | Path | None = None, allow_download: bo
             raise
         return Resolved("synthetic", notice=f"using the synthetic scenes in place of Middlebury: {exc}")
     return Resolved("middlebury", cache_folder())
+
+
+def _folder(given: Path | None) -> Path:
+    return find().folder if given is None else given
+
+
+DATASET = Dataset(
+    "middlebury",
+    {name: SIZES[name] for name in SEQUENCES},
+    load=lambda name, folder, *, noise, seed: load(name, _folder(folder)),
+    digest=lambda name, folder, *, noise, seed: digest(name, _folder(folder)),
+    contents=lambda name, folder: contents(name, _folder(folder)),
+)

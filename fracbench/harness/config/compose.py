@@ -15,7 +15,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from fracbench.data.pair import shape_of
+from fracbench.data.datasets.registry import AUTO, DATASETS, shape_of
 from fracbench.data.regions import Region, require_inside
 from fracbench.errors import InputError, unknown_name
 from fracbench.harness.config.composed import remembered
@@ -26,7 +26,6 @@ from fracbench.model.params import FlowParams
 
 GROUPS = ("method", "sequence", "region", "protocol", "parallel")
 BACKENDS = ("loky", "dask")
-DATASETS = ("auto", "middlebury", "synthetic")
 PARALLEL = ("parallel.jobs", "parallel.timeout", "parallel.address")
 #: Keys of the command line that are neither groups nor parameters.
 SETTINGS = (
@@ -112,7 +111,7 @@ class RunConfig:
     region: Region | None
     params: FlowParams
     parallel: ParallelConfig
-    dataset: str = "auto"
+    dataset: str = AUTO
     context: int = 0
     shift: int | None = None
     score: str = "frame"
@@ -123,8 +122,8 @@ class RunConfig:
     results: Path = Path("results")
 
     def __post_init__(self) -> None:
-        if self.dataset not in DATASETS:
-            raise unknown_name("dataset", self.dataset, DATASETS)
+        if self.dataset not in (AUTO, *DATASETS):
+            raise unknown_name("dataset", self.dataset, (AUTO, *DATASETS))
         if self.context < 0:
             raise InputError(f"context must be at least 0 pixels, got {self.context}")
         if self.shift is not None and not 0 <= self.shift < N_SHIFTS:

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from fracbench.data.pair import Sequence, load_sequence
+from fracbench.data.datasets.registry import load_sequence
+from fracbench.data.pair import FramePair
 from fracbench.data.regions import Crop, Region, crop
 from fracbench.errors import FracbenchError, InputError
 from fracbench.evaluation.class_errors import errors_by_class
@@ -112,15 +113,15 @@ def _divergence(
 
 
 @lru_cache(maxsize=8)
-def _sequence(name: str, dataset: str, folder: Path | None, noise: float, seed: int) -> Sequence:
+def _sequence(name: str, dataset: str, folder: Path | None, noise: float, seed: int) -> FramePair:
     return load_sequence(name, dataset, folder, noise=noise, seed=seed)
 
 
-_held: dict[str, Sequence] = {}
+_held: dict[str, FramePair] = {}
 _crops: dict[Any, Crop] = {}
 
 
-def hold(sequence: Sequence) -> None:
+def hold(sequence: FramePair) -> None:
     """Keep a sequence for the points of this process, which may have no data folder."""
     _held[sequence.digest] = sequence
 
@@ -167,7 +168,7 @@ def point_arrays(point: Point, folder: Path | None) -> tuple[Any, Any, Any, tupl
     return _crops[key]
 
 
-def _sequence_of(point: Point, folder: Path | None) -> Sequence:
+def _sequence_of(point: Point, folder: Path | None) -> FramePair:
     sequence = _held.get(point.data_digest)
     if sequence is None:
         sequence = _sequence(point.sequence, point.dataset, folder, float(point.noise), point.seed)

@@ -6,13 +6,12 @@ from collections.abc import Iterable
 from statistics import median
 from typing import Any
 
-from fracbench.data.datasets.middlebury import SIZES
+from fracbench.data.datasets.registry import DATASETS
 from fracbench.harness.run.point import Point
 from fracbench.harness.run.store import Row
 
 #: Used until the store holds a point of the method: seconds a pixel, one thread.
 ROUGH_SECONDS_PER_PIXEL = 1e-5
-_SCENE_PIXELS = 128 * 160
 
 
 def expected_seconds(points: Iterable[Point], rows: Iterable[Row], jobs: int) -> tuple[float, bool]:
@@ -52,5 +51,5 @@ def pixels(spec: Any) -> int:
     if spec["box"] is not None:
         row0, row1, col0, col1 = spec["box"]
         return int((row1 - row0 + 2 * spec["context"]) * (col1 - col0 + 2 * spec["context"]))
-    height, width = SIZES.get(spec["sequence"], (1, _SCENE_PIXELS))
+    height, width = DATASETS[spec["dataset"]].shapes[spec["sequence"]]
     return height * width

@@ -8,7 +8,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from fracbench.data.pair import list_sequences, shape_of
+from fracbench.data.datasets.registry import get_dataset, list_sequences, shape_of
 from fracbench.data.regions import Region, shifted
 from fracbench.errors import InputError, unknown_name
 from fracbench.harness.config.compose import GROUPS, PARALLEL, RunConfig, group_options, known_keys, load_config
@@ -290,13 +290,7 @@ def _box(
 
 @lru_cache(maxsize=1024)
 def _digest(name: str, dataset: str, folder: Path | None, noise: float, seed: int) -> str:
-    if dataset == "middlebury":
-        from fracbench.data.datasets import middlebury
-
-        return middlebury.digest(name, str(folder))
-    from fracbench.data.datasets.synthetic import scenes as synthetic
-
-    return synthetic.digest(name, noise=noise, seed=seed)
+    return get_dataset(dataset).digest(name, folder, noise=noise, seed=seed)
 
 
 def _idle_keys(keys: Sequence[str], points: Sequence[PlannedPoint]) -> list[str]:

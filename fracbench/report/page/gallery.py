@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fracbench.data.datasets.registry import list_sequences
 from fracbench.data.files import read_flow
-from fracbench.data.pair import list_sequences
 from fracbench.evaluation.metrics import endpoint_error, flow_errors
 from fracbench.figures.flowcolor import color_wheel, fastest, flow_to_color
 from fracbench.harness.run.compute_point import point_arrays

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from fracbench.data.datasets.registry import load_sequence
 from fracbench.data.files import ensure_folder, write_text
-from fracbench.data.pair import load_sequence
 from fracbench.errors import InputError, unknown_name
 from fracbench.harness.config.compose import SequenceConfig, load_config
 from fracbench.harness.config.experiment import Experiment

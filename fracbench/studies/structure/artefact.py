@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fracbench.data.datasets.registry import load_sequence
 from fracbench.data.datasets.synthetic.single_structure import LONE
 from fracbench.data.files import ensure_folder, write_text
-from fracbench.data.pair import load_sequence
 from fracbench.errors import InputError
 from fracbench.harness.config.experiment import Experiment
 from fracbench.harness.run.plan import Plan

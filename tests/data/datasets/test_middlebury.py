@@ -12,7 +12,7 @@ from PIL import Image
 
 from fracbench.data import download as remote
 from fracbench.data.datasets import middlebury as mb
-from fracbench.data.pair import list_sequences, load_sequence
+from fracbench.data.datasets.registry import list_sequences, load_sequence
 from fracbench.errors import DataError, InputError
 
 WAYS = ("FRACBENCH_DATA", "paths.data=", "data/middlebury", "fracbench data --download")

@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_info
 
 from fracbench import estimate_flow
 from fracbench.data.datasets.synthetic import scenes as synthetic
-from fracbench.data.pair import Sequence
+from fracbench.data.pair import FramePair
 from fracbench.errors import InputError
 from fracbench.evaluation.metrics import flow_errors
 from fracbench.harness.run import compute_point as task
@@ -242,7 +242,7 @@ def test_data_that_changed_since_they_were_planned_are_not_computed_on():
 
 def test_a_sequence_without_truth_cannot_be_scored(monkeypatch):
     frame = np.zeros((9, 9))
-    bare = Sequence("edge", "synthetic", frame, frame, None, synthetic.digest("edge"))
+    bare = FramePair("edge", "synthetic", frame, frame, None, synthetic.digest("edge"))
     monkeypatch.setattr(task, "_sequence", lambda *_: bare)
     outcome = run_point(a_point(), None)
     assert (outcome.status, outcome.error) == ("failed", "sequence edge: has no true flow to compare with")

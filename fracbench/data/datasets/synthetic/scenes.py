@@ -16,6 +16,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from fracbench.data.datasets.base import Dataset
 from fracbench.data.datasets.synthetic.rendering import (
     Layer,
     Motion,
@@ -27,7 +28,7 @@ from fracbench.data.datasets.synthetic.rendering import (
     true_flow,
 )
 from fracbench.data.datasets.synthetic.single_structure import BUILDERS, LONE
-from fracbench.data.pair import Sequence
+from fracbench.data.pair import FramePair
 from fracbench.errors import InputError, match_name
 
 GENERATOR_VERSION = 1  # part of every digest: raise it whenever a rendered value may change
@@ -44,7 +45,7 @@ SHAPES = {
 _MIN_SIDE = 8
 
 
-def scene(name: str, *, shape: tuple[int, int] | None = None, noise: float = 0.0, seed: int = 0) -> Sequence:
+def scene(name: str, *, shape: tuple[int, int] | None = None, noise: float = 0.0, seed: int = 0) -> FramePair:
     """Render a scene with its exact flow.
 
     Parameters
@@ -63,7 +64,7 @@ def scene(name: str, *, shape: tuple[int, int] | None = None, noise: float = 0.0
 
     Returns
     -------
-    Sequence
+    FramePair
         Frames within 0..255 (before noise); truth known everywhere: the flow of the topmost layer.
 
     Raises
@@ -78,7 +79,7 @@ def scene(name: str, *, shape: tuple[int, int] | None = None, noise: float = 0.0
     if noise > 0:
         rng = _studio(name, shape, seed).random(len(stack))
         frames = [frame + rng.normal(0.0, noise, shape) for frame in frames]
-    return Sequence(
+    return FramePair(
         name=name,
         dataset="synthetic",
         frame0=frames[0],
@@ -183,3 +184,10 @@ _LAYERS: dict[str, Callable[[Studio], tuple[Layer, ...]]] = {
     "large": _large,
     **BUILDERS,
 }
+
+DATASET = Dataset(
+    "synthetic",
+    {name: SHAPES[name] for name in ALL},
+    load=lambda name, folder, *, noise, seed: scene(name, noise=noise, seed=seed),
+    digest=lambda name, folder, *, noise, seed: digest(name, noise=noise, seed=seed),
+)

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
+from fracbench.data.datasets.registry import list_sequences, load_sequence
 from fracbench.data.datasets.synthetic import scenes as synthetic
 from fracbench.data.datasets.synthetic.scenes import ALL, SCENES, Layer, Motion, layers, scene
-from fracbench.data.pair import Sequence, list_sequences, load_sequence
+from fracbench.data.pair import FramePair
 from fracbench.errors import InputError
 
 SINGLE = ("flat", "rotation", "zoom")
@@ -18,7 +19,7 @@ RNG = np.random.default_rng(11)
 
 
 @functools.cache
-def default(name: str) -> Sequence:
+def default(name: str) -> FramePair:
     return scene(name)
 
 
