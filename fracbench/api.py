@@ -8,12 +8,10 @@ import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
 from fracbench.data.gray import to_gray
-from fracbench.methods.registry import get_method
+from fracbench.methods.registry import DEFAULT_METHOD, get_method
 from fracbench.model.coarse_to_fine import FlowResult, check_frames
 from fracbench.model.kernels.threads import use_threads
 from fracbench.model.params import FlowParams
-
-DEFAULT_METHOD = "tvl1_sb_alpha"
 
 
 def estimate_flow(

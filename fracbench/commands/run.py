@@ -265,7 +265,7 @@ def estimate_files(
     InputError
         Anything that the user can put right; nothing is written then.
     """
-    from fracbench.api import DEFAULT_METHOD, estimate_flow
+    from fracbench.api import estimate_flow
     from fracbench.data.files import read_flow, read_image
     from fracbench.harness.config.compose import protocol_settings
     from fracbench.model.params import FlowParams
@@ -275,7 +275,7 @@ def estimate_files(
         raise InputError(f"estimate takes one value a parameter ({' '.join(overrides)}); use sweep for grids")
     given = dict(next(grid.points()))
     protocol = given.pop("protocol", "")
-    brought, preset = protocol_settings(protocol) if protocol else (None, {})  # the defaults are `recommended`
+    protocol_method, preset = protocol_settings(protocol or "recommended")
     values: dict[str, Any] = {**preset, **given}
     FlowParams().replace(values)
     picture = color or picture_beside(output)
@@ -287,7 +287,7 @@ def estimate_files(
             f"{truth}: the true flow is {expected.shape[2]} x {expected.shape[1]}, the frames are "
             f"{first.shape[1]} x {first.shape[0]} (width x height)"
         )
-    result = estimate_flow(first, second, method=method or brought or DEFAULT_METHOD, threads=threads, **values)
+    result = estimate_flow(first, second, method=method or protocol_method.name, threads=threads, **values)
     changes = " ".join(token for token in overrides if token != f"protocol={protocol}")
     preset_name = f"preset {protocol or 'recommended'}"
     _say_result(result, f"{preset_name} with {changes}" if changes else preset_name)

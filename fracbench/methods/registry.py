@@ -81,6 +81,7 @@ class Method:
 
 
 METHODS: dict[str, Method] = {}
+DEFAULT_METHOD = "tvl1_sb_alpha"
 
 
 def register(method: Method) -> Method:

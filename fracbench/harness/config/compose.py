@@ -18,10 +18,10 @@ from typing import Any
 from fracbench.data.datasets.registry import AUTO, DATASETS, shape_of
 from fracbench.data.regions import Region, require_inside
 from fracbench.errors import InputError, unknown_name
-from fracbench.harness.config.composed import remembered
+from fracbench.harness.config.composition_cache import cached_composition
 from fracbench.harness.config.paths import asset
 from fracbench.harness.config.records import mapping, record, refuse_code, require_name
-from fracbench.methods.registry import Method, get_method
+from fracbench.methods.registry import DEFAULT_METHOD, METHODS, Method, get_method
 from fracbench.model.params import FlowParams
 
 GROUPS = ("method", "sequence", "region", "protocol", "parallel")
@@ -210,12 +210,14 @@ def group_options(group: str) -> list[str]:
     list of str
         Sorted; regions without ``none``.
     """
+    if group == "method":
+        return sorted(METHODS)
     names = sorted(path.stem for path in asset(f"conf/{group}").glob("*.yaml"))
     return [name for name in names if name != "none"]
 
 
-def protocol_settings(name: str) -> tuple[str | None, dict[str, Any]]:
-    """Return what a protocol sets itself, without the parameters of any sequence.
+def protocol_settings(name: str) -> tuple[Method, dict[str, Any]]:
+    """Return the method and the parameters of a protocol, without those of any sequence.
 
     Parameters
     ----------
@@ -224,21 +226,19 @@ def protocol_settings(name: str) -> tuple[str | None, dict[str, Any]]:
 
     Returns
     -------
-    method : str or None
-        The method that it brings.
+    method : Method
+        The method that the protocol names, else the default one.
     params : dict
-        Parameters of `FlowParams`.
+        Parameters of `FlowParams` by public name.
 
     Raises
     ------
     InputError
         An unknown name, or a file that is no protocol.
     """
-    from omegaconf import OmegaConf
-
-    load_config({"protocol": name})  # what is wrong in the file is said here
-    raw: Any = OmegaConf.to_container(OmegaConf.load(asset(f"conf/protocol/{name}.yaml")))
-    return raw.get("method"), dict(raw.get("params") or {})
+    config = load_config({"protocol": name})  # which refuses a file that is none
+    raw = _compose((("protocol", name), ("sequence", "none")))
+    return config.method, raw["params"]
 
 
 def known_keys() -> list[str]:
@@ -273,15 +273,19 @@ def load_config(choices: Mapping[str, str]) -> RunConfig:
 @lru_cache(maxsize=256)
 def _compose(choices: tuple[tuple[str, str], ...]) -> dict[str, Any]:
     names = dict(choices)
+    names.pop("method", None)  # a method is a word of the configuration, not a group: the registry knows it
     region = names.pop("region", "none")
     sequence = names.pop("sequence", None)
     overrides = [f"{group}={name}" for group, name in names.items()]
     if region != "none":
         overrides.append(f"region={region}")  # the region's file chooses its sequence
+    elif sequence == "none":
+        overrides.append("~sequence")
     elif sequence is not None:
         overrides.append(f"sequence={sequence}")
     folder = asset("conf").resolve()
-    return mapping(remembered(folder, choices, lambda: _by_hydra(folder, overrides)), f"configuration {folder}")
+    raw = cached_composition(folder, choices, lambda: _by_hydra(folder, overrides))
+    return mapping(raw, f"configuration {folder}")
 
 
 def _by_hydra(folder: Path, overrides: list[str]) -> Any:
@@ -313,7 +317,7 @@ _TOP_LEVEL = (
 def _typed(raw: Mapping[str, Any], choices: Mapping[str, str]) -> RunConfig:
     chosen = ", ".join(f"{group}={name}" for group, name in choices.items())
     where = f"configuration ({chosen})" if chosen else "configuration"
-    raw = mapping(raw, where, _TOP_LEVEL)
+    raw = {"method": DEFAULT_METHOD, **mapping(raw, where, _TOP_LEVEL)}
     for key in _TOP_LEVEL:
         if key not in raw:
             raise InputError(f"{where}: `{key}` is missing; conf/config.yaml or a file of a group sets it")
@@ -339,10 +343,8 @@ def _typed(raw: Mapping[str, Any], choices: Mapping[str, str]) -> RunConfig:
 
 
 def _method_name(raw: Any, choices: Mapping[str, str], where: str) -> str:
-    """Return the method: a protocol may bring one with it, but one that is asked for wins."""
-    if "method" in choices and choices.keys() > {"method"}:
-        raw = _compose((("method", choices["method"]),))["method"]
-    return require_name(raw, "`method`", where)
+    """Return the method: a protocol may name one, but the one that is asked for wins."""
+    return require_name(choices.get("method", raw), "`method`", where)
 
 
 @dataclass(frozen=True)

@@ -318,7 +318,7 @@ def test_settings_of_a_region_are_refused_without_one(key, value):
             "sequence: unknown key 'standin': did you mean 'stand_in'?",
         ),
         ("sequence/own.yaml", "sequence: {name: Grove2}", "sequence: "),
-        ("method/own.yaml", "method: tvl2", "unknown method 'tvl2': did you mean 'tvl1'?"),
+        ("protocol/own.yaml", "protocol: own\nmethod: tvl2", "unknown method 'tvl2': did you mean 'tvl1'?"),
         (
             "parallel/own.yaml",
             "parallel: {jobs: 2, backend: lokey}",

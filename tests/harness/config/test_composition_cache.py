@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from fracbench.harness.config import composed
-from fracbench.harness.config.composed import remembered
+from fracbench.harness.config import composition_cache
+from fracbench.harness.config.composition_cache import cached_composition
 
 CHOICES = (("protocol", "reference"),)
 
@@ -13,9 +13,9 @@ CHOICES = (("protocol", "reference"),)
 @pytest.fixture
 def conf(tmp_path, monkeypatch):
     """A configuration, and a cache that does not exist yet."""
-    monkeypatch.setattr(composed, "cache_folder", lambda: tmp_path / "deep" / "cache")
+    monkeypatch.setattr(composition_cache, "cache_folder", lambda: tmp_path / "deep" / "cache")
     folder = tmp_path / "conf"
-    (folder / "method").mkdir(parents=True)
+    (folder / "protocol").mkdir(parents=True)
     (folder / "config.yaml").write_text("a: 1\n")
     return folder
 
@@ -33,32 +33,32 @@ class Compose:
 
 def test_the_second_answer_is_the_first(conf):
     compose = Compose()
-    assert remembered(conf, CHOICES, compose) == remembered(conf, CHOICES, compose) == compose()
+    assert cached_composition(conf, CHOICES, compose) == cached_composition(conf, CHOICES, compose) == compose()
     assert compose.calls == 2  # one of them is the line above
 
 
-@pytest.mark.parametrize("change", ["config.yaml", "method/tvl1.yaml"])
+@pytest.mark.parametrize("change", ["config.yaml", "protocol/new.yaml"])
 def test_a_changed_or_new_file_is_seen(conf, change):
     compose = Compose()
-    remembered(conf, CHOICES, compose)
+    cached_composition(conf, CHOICES, compose)
     (conf / change).write_text("a: 2\n")
-    remembered(conf, CHOICES, compose)
+    cached_composition(conf, CHOICES, compose)
     assert compose.calls == 2
 
 
 def test_other_choices_are_other_compositions(conf):
     compose = Compose()
     for choices in (CHOICES, (), (("protocol", "published"),)):
-        remembered(conf, choices, compose)
+        cached_composition(conf, choices, compose)
     assert compose.calls == 3
 
 
 def test_a_broken_or_forbidden_cache_is_done_without(conf, tmp_path, monkeypatch):
     compose = Compose()
-    remembered(conf, CHOICES, compose)
+    cached_composition(conf, CHOICES, compose)
     (entry,) = (tmp_path / "deep" / "cache").iterdir()
     entry.write_text('{"params": ')
-    assert remembered(conf, CHOICES, compose)["rows"] == [90, 250] and compose.calls == 2
+    assert cached_composition(conf, CHOICES, compose)["rows"] == [90, 250] and compose.calls == 2
     (tmp_path / "deep2").write_text("a file where the folder should be")
-    monkeypatch.setattr(composed, "cache_folder", lambda: tmp_path / "deep2" / "cache")
-    assert remembered(conf, CHOICES, compose)["rows"] == [90, 250] and compose.calls == 3
+    monkeypatch.setattr(composition_cache, "cache_folder", lambda: tmp_path / "deep2" / "cache")
+    assert cached_composition(conf, CHOICES, compose)["rows"] == [90, 250] and compose.calls == 3
