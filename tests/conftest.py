@@ -148,7 +148,7 @@ def fake_rows():
     def make(plan, errors=lambda labels, params: (0.1, 0.2, 0.3), status="done", **changes):
         rows = {}
         for planned in plan.points:
-            aae, aepe, sdae = errors(planned.labels, planned.point.params)
+            aae, aepe, sdae = errors(planned.labels, planned.point.canonical)
             result = {
                 "aae": aae,
                 "aepe": aepe,

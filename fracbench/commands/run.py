@@ -167,7 +167,7 @@ def _say_computed(report: execute.Report) -> None:
 def _say_settings(plan: Plan) -> None:
     config = plan.config
     shared = {planned.labels["protocol"] for planned in plan.points}
-    boundaries = {planned.point.params.get("boundary") for planned in plan.points} - {None}
+    boundaries = {planned.point.canonical.get("boundary") for planned in plan.points} - {None}
     settings = [f"dataset {plan.dataset}"]
     if shared:
         settings.append(f"protocol {', '.join(sorted(shared))}")
@@ -212,15 +212,14 @@ def run_one(tokens: Sequence[str]) -> None:
     from fracbench.data.files import ensure_folder
     from fracbench.harness.run.compute_point import point_arrays
     from fracbench.methods.registry import get_method
-    from fracbench.model.params import FlowParams
 
     planned = plan.points[0]
     point = planned.point
     folder = ensure_folder(plan.config.results / RUNS / "flows")
     frame0, frame1, truth, inner = point_arrays(point, plan.folder)
-    result = get_method(point.method).estimate(frame0, frame1, FlowParams().replace(point.params))
+    result = get_method(point.method).estimate(frame0, frame1, point.params)
     flow = result.flow[(slice(None), *inner)]
-    place = planned.labels["sequence" if point.box is None else "region"]
+    place = planned.labels["sequence" if point.region is None else "region"]
     name = f"{place}_{point.method}_{point.key[:8]}"
     _say_result(result)
     if truth is not None:

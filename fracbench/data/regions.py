@@ -62,6 +62,11 @@ class Region:
         """Height and width in pixels."""
         return self.rows[1] - self.rows[0], self.cols[1] - self.cols[0]
 
+    @property
+    def inside(self) -> tuple[slice, slice]:
+        """The region as an index of a picture."""
+        return slice(*self.rows), slice(*self.cols)
+
 
 def crop(sequence: FramePair, region: Region, context: int = 0) -> Crop:
     """Cut a region out of a sequence.

@@ -34,7 +34,7 @@ def test_all_that_is_installed_runs_by_default(monkeypatch):
 
 def test_a_contender_may_bring_a_protocol(monkeypatch):
     seen = []
-    preset = make_plan([SCENE, "protocol=accurate"]).points[0].point.params
+    preset = make_plan([SCENE, "protocol=accurate"]).points[0].point.canonical
 
     def estimate(frame0, frame1, params):
         seen.append({name: canonical_value(value) for name, value in params.as_dict().items() if name in preset})

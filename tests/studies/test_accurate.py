@@ -139,7 +139,7 @@ def test_the_experiment_adds_and_takes_away_each_ingredient():
     plan = plan_experiment(experiment.grids, ["dataset=synthetic"], allow_download=False)
     params: dict = {}
     for planned in plan.points:
-        params.setdefault(planned.labels["part"], dict(planned.point.params))
+        params.setdefault(planned.labels["part"], dict(planned.point.canonical))
 
     def changed(part, whole):
         return {name for name, value in params[part].items() if value != params[whole][name]}

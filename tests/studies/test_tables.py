@@ -83,7 +83,7 @@ def test_points_that_share_a_key_have_a_row_each(fake_rows):
 def test_every_parameter_of_the_point_is_a_column(fake_rows):
     made = plan("alpha=1")
     table = tidy(made, fake_rows(made))
-    for name, value in made.points[0].point.params.items():
+    for name, value in made.points[0].point.canonical.items():
         (shown,) = table[name]
         assert shown == value or float(shown) == float(value)
     assert table["lambda"].dtype.kind == "f"

@@ -273,13 +273,12 @@ def results_of(plan: Plan, threads: int, dtype: str, nudge: float = 0.0) -> dict
     from fracbench.harness.run.compute_point import point_arrays
     from fracbench.methods.registry import get_method
     from fracbench.model.kernels.threads import use_threads
-    from fracbench.model.params import FlowParams
 
     found = {}
     with use_threads(threads), threadpool_limits(1):  # as `estimate_flow` does
         for key, point in plan.unique().items():
             frame0, frame1, truth, inner = point_arrays(point, plan.folder)
-            params = FlowParams().replace(point.params).replace({"dtype": dtype} if dtype else {})
+            params = point.params.replace({"dtype": dtype} if dtype else {})
             params = params.replace({"theta": params.theta * (1.0 + nudge)})
             flow = get_method(point.method).estimate(frame0, frame1, params).flow
             errors = flow_errors(flow[(slice(None), *inner)], truth[(slice(None), *inner)])

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from fracbench.data.datasets.registry import load_sequence
 from fracbench.data.pair import FramePair
-from fracbench.data.regions import Crop, Region, crop
+from fracbench.data.regions import Crop, crop
 from fracbench.errors import FracbenchError, InputError
 from fracbench.evaluation.class_errors import errors_by_class
 from fracbench.evaluation.metrics import flow_errors
@@ -31,8 +31,6 @@ from fracbench.model.structure import structure_classes
 #: A flow has diverged if its regularity is so many times the energy of no flow at all. For a minimiser the ratio
 #: is below 1; it has been seen near 40 where the data term has next to no weight (lambda = 1e-5).
 GROWN = 100.0
-
-_DEFAULTS = FlowParams()
 
 Guard = Callable[[], AbstractContextManager[Any]]
 
@@ -70,7 +68,7 @@ def _compute(point: Point, folder: Path | None, machine: dict[str, Any], guard: 
     if truth is None:
         raise InputError(f"sequence {point.sequence}: has no true flow to compare with")
     method = get_method(point.method)
-    params = _DEFAULTS.replace(point.params)
+    params = point.params
     _warm_up(point.method, params)
     reset_peak()
     started = time.perf_counter()
@@ -94,7 +92,7 @@ def _compute(point: Point, folder: Path | None, machine: dict[str, Any], guard: 
     }
     if point.score == "structure":
         classes = structure_classes(_sequence_of(point, folder).frame0)
-        by_class = errors_by_class(*scored, classes if point.box is None else classes[_inside(point.box)])
+        by_class = errors_by_class(*scored, classes if point.region is None else classes[point.region.inside])
         result["classes"] = {name: vars(found) for name, found in by_class.items()}
     peak = peak_mib()
     error = _divergence(point.method, frame0, frame1, flow_result.flow, params, result["stop"], errors.n_nonfinite)
@@ -144,11 +142,11 @@ def point_arrays(point: Point, folder: Path | None) -> tuple[Any, Any, Any, tupl
     Returns
     -------
     frame0, frame1 : ndarray, shape (h, w)
-        The frames, cut to the box with its context.
+        The frames, cut to the region with its context.
     truth : ndarray, shape (2, h, w), or None
         The true flow there.
     inner : tuple of slice
-        The box within them.
+        The region within them.
 
     Raises
     ------
@@ -156,14 +154,12 @@ def point_arrays(point: Point, folder: Path | None) -> tuple[Any, Any, Any, tupl
         The data are not what the point was planned for.
     """
     sequence = _sequence_of(point, folder)
-    if point.box is None:
+    if point.region is None:
         return sequence.frame0, sequence.frame1, sequence.truth, (slice(None), slice(None))
-    key = sequence.digest, point.box, point.context
+    key = sequence.digest, point.region, point.context
     if key not in _crops:
-        row0, row1, col0, col1 = point.box
-        region = Region("box", sequence.name, (row0, row1), (col0, col1))
-        cut = crop(sequence, region, point.context)
-        _crops.clear()  # the points of a sweep come box by box
+        cut = crop(sequence, point.region, point.context)
+        _crops.clear()  # the points of a sweep come region by region
         _crops[key] = cut
     return _crops[key]
 
@@ -171,15 +167,10 @@ def point_arrays(point: Point, folder: Path | None) -> tuple[Any, Any, Any, tupl
 def _sequence_of(point: Point, folder: Path | None) -> FramePair:
     sequence = _held.get(point.data_digest)
     if sequence is None:
-        sequence = _sequence(point.sequence, point.dataset, folder, float(point.noise), point.seed)
+        sequence = _sequence(point.sequence, point.dataset, folder, point.noise, point.seed)
     if sequence.digest != point.data_digest:
         raise InputError(f"sequence {point.sequence}: the data changed while the sweep was running")
     return sequence
-
-
-def _inside(box: tuple[int, int, int, int]) -> tuple[slice, slice]:
-    row0, row1, col0, col1 = box
-    return slice(row0, row1), slice(col0, col1)
 
 
 _warmed: set[tuple[str | bool, ...]] = set()

@@ -10,7 +10,6 @@ from fracbench.data.files import write_flow
 from fracbench.harness.run.compute_point import point_arrays
 from fracbench.harness.run.point import Point
 from fracbench.methods.registry import get_method
-from fracbench.model.params import FlowParams
 
 
 def flow_file(point: Point, folder: Path) -> Path:
@@ -39,5 +38,5 @@ def keep_flow(point: Point, data: Path | None, path: Path) -> None:
         return
     frame0, frame1, _, inner = point_arrays(point, data)
     with threadpool_limits(1):  # as for every stored number
-        result = get_method(point.method).estimate(frame0, frame1, FlowParams().replace(point.params))
+        result = get_method(point.method).estimate(frame0, frame1, point.params)
     write_flow(path, result.flow[(slice(None), *inner)])

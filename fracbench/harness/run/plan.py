@@ -234,13 +234,13 @@ def _planned(config: RunConfig, dataset: str, folder: Path | None) -> PlannedPoi
     noise, seed = config.noise or 0.0, config.seed or 0
     point = Point(
         method=config.method.name,
-        params=canonical_params(config),
+        params=config.params,
         dataset=dataset,
         sequence=name,
-        box=_box(region, config, name, dataset),
+        region=_scored(region, config, name, dataset),
         context=config.context if region else config.margin or 0,
         data_digest=_digest(name, dataset, folder, noise, seed),
-        noise=canonical_value(noise),
+        noise=noise,
         seed=seed,
         score=config.score,
     )
@@ -258,34 +258,15 @@ def _planned(config: RunConfig, dataset: str, folder: Path | None) -> PlannedPoi
     return PlannedPoint(point, labels)
 
 
-def canonical_params(config: RunConfig) -> dict[str, str]:
-    """Return the parameters a configuration's method depends on, as canonical strings.
-
-    Parameters
-    ----------
-    config : RunConfig
-        The configuration.
-
-    Returns
-    -------
-    dict of str to str
-        Sorted by name; numbers as decimals, never as floats.
-    """
-    params = config.params.as_dict()
-    return {name: canonical_value(params[name]) for name in sorted(config.method.uses)}
-
-
-def _box(
-    region: Region | None, config: RunConfig, sequence: str, dataset: str
-) -> tuple[int, int, int, int] | None:
-    if region is None:
-        if not config.margin:
-            return None
-        height, width = shape_of(sequence, dataset)
-        return config.margin, height - config.margin, config.margin, width - config.margin
-    if config.shift is not None:
-        region = shifted(region, shape_of(sequence, dataset))[config.shift]
-    return (*region.rows, *region.cols)
+def _scored(region: Region | None, config: RunConfig, sequence: str, dataset: str) -> Region | None:
+    """Return the box that is scored: the region, its neighbour, or the frame without a margin."""
+    shape = shape_of(sequence, dataset)
+    if region is not None:
+        return region if config.shift is None else shifted(region, shape)[config.shift]
+    if not config.margin:
+        return None
+    rows, cols = ((config.margin, n - config.margin) for n in shape)
+    return Region(f"margin {config.margin}", sequence, rows, cols)
 
 
 @lru_cache(maxsize=1024)

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+from fracbench.data.regions import Region
 from fracbench.harness.config.numbers import canonical_number
 from fracbench.harness.run.store import canonical_json
+from fracbench.methods.registry import get_method
 from fracbench.model import SOLVER_VERSION
+from fracbench.model.params import FlowParams
 
 #: Parameters younger than stored results, with the values that leave these as they are: no part of a key.
 _YOUNGER = {"texture": "0", "occlusion": "median"}
@@ -24,18 +26,18 @@ class Point:
     ----------
     method : str
         Name in the registry.
-    params : mapping of str to str
-        The parameters the method uses; numbers as canonical decimals.
+    params : FlowParams
+        Parameters; those that the method does not use are no part of the key.
     dataset, sequence : str
         The data.
-    box : tuple of int or None
-        ``(row0, row1, col0, col1)``, half-open; None for the whole frame.
+    region : Region or None
+        The box that is scored; None for the whole frame. Its name is no part of the key.
     context : int
-        Pixels around the box that take part in the computation.
+        Pixels around the region that take part in the computation.
     data_digest : str
         SHA-256 of the data.
-    noise : str
-        Standard deviation of the noise of a rendered scene, a canonical decimal.
+    noise : float
+        Standard deviation of the noise of a rendered scene, gray levels.
     seed : int
         Of a rendered scene.
     score : str
@@ -43,28 +45,35 @@ class Point:
     """
 
     method: str
-    params: Mapping[str, str]
+    params: FlowParams
     dataset: str
     sequence: str
-    box: tuple[int, int, int, int] | None
+    region: Region | None
     context: int
     data_digest: str
-    noise: str = "0"
+    noise: float = 0.0
     seed: int = 0
     score: str = "frame"
+
+    @cached_property
+    def canonical(self) -> dict[str, str]:
+        """The parameters that the method uses, sorted by public name: words, and numbers as decimals."""
+        params = self.params.as_dict()
+        return {name: canonical_value(params[name]) for name in sorted(get_method(self.method).uses)}
 
     @property
     def spec(self) -> dict[str, Any]:
         """The canonical form, without the data's content; noise, seed, score and `_YOUNGER` only where unusual."""
         usual = {"noise": "0", "seed": 0, "score": "frame"}
-        unusual = {name: getattr(self, name) for name in usual if getattr(self, name) != usual[name]}
+        values = {"noise": canonical_value(self.noise), "seed": self.seed, "score": self.score}
+        region = self.region
         return {
-            **unusual,
+            **{name: value for name, value in values.items() if value != usual[name]},
             "method": self.method,
-            "params": {name: value for name, value in self.params.items() if _YOUNGER.get(name) != value},
+            "params": {name: value for name, value in self.canonical.items() if _YOUNGER.get(name) != value},
             "dataset": self.dataset,
             "sequence": self.sequence,
-            "box": None if self.box is None else list(self.box),
+            "box": None if region is None else [*region.rows, *region.cols],
             "context": self.context,
         }
 

@@ -45,7 +45,7 @@ def tidy(plan: Plan, rows: Mapping[str, Row]) -> pd.DataFrame:
     for planned in plan.points:
         row = rows.get(planned.point.key)
         result = row.result if row else {}
-        record: dict[str, Any] = {**blank, **planned.labels, **planned.point.params}
+        record: dict[str, Any] = {**blank, **planned.labels, **planned.point.canonical}
         record.update({name: result.get(name) for name in RESULT_COLUMNS})
         for name, errors in result.get("classes", {}).items():
             record.update({f"{metric}_{name}": errors[metric] for metric in METRICS})

@@ -108,7 +108,7 @@ def _shown(plan: Plan, sources: Sources) -> list[tuple[str, list[tuple[str, Poin
     for planned in (*reference, *ours.points):
         label = f"{get_method(planned.point.method).label}, {planned.labels['protocol']}"
         if planned.labels["protocol"] == "recommended":
-            label += f" (α = {planned.point.params['alpha']})"
+            label += f" (α = {planned.point.canonical['alpha']})"
         if planned.labels["sequence"] in entries:
             entries[planned.labels["sequence"]].append((label, planned.point))
     return list(entries.items())

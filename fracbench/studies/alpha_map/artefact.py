@@ -190,5 +190,5 @@ def _maps(name: str, experiment: Experiment, plan: Plan, results: Path) -> list[
     points = _oracle_points(plan)[name]
     frame0, *_ = point_arrays(points[0], plan.folder)
     maps = load_maps(points, options(experiment).window, results / RUNS / "oracles")
-    alphas = [float(point.params["alpha"]) for point in points]
+    alphas = [point.params.alpha for point in points]
     return [(name, frame0, scope, maps[scope], alphas) for scope in ("classes", "window", "pixel")]

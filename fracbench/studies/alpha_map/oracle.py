@@ -134,8 +134,8 @@ def compute_oracle(points: Sequence[Point], data: Path | None, flows: Path, wind
         single = np.stack([_kept_flow(point, data, flows) for point in points])
         errors = np.stack([endpoint_error(flow, truth) for flow in single])
         maps = best_orders(errors, classes, window)
-        params = FlowParams().replace(points[0].params)
-        alphas = [float(point.params["alpha"]) for point in points]
+        params = points[0].params
+        alphas = [point.params.alpha for point in points]
         found = {
             scope: {
                 "run": _scores(_mapped(frame0, frame1, params, alphas, orders), truth),

@@ -157,7 +157,7 @@ def run(
                 frame0, frame1, truth, inner = point_arrays(planned.point, plan.folder)
                 for racer in racers:
                     method = get_method(racer.method)
-                    params = _params(racer, plans[racer.protocol].points[i].point.params)
+                    params = _params(racer, plans[racer.protocol].points[i].point.canonical)
                     reset_peak()
                     before = peak_mib()
                     started = time.perf_counter()

@@ -65,7 +65,7 @@ def problems(region: str, alphas: list[float], plan: Plan) -> dict[float, Proble
     frame0, frame1, _, _ = point_arrays(point, plan.folder)
     own = get_method(point.method).estimate(frame0, frame1, FlowParams()).flow
     frame0, frame1 = stretch(frame0, frame1, np.dtype(np.float64))
-    model = {name: point.params[name] for name in ("lambda", "theta", "lambda_sb", "boundary")}
+    model = {name: point.canonical[name] for name in ("lambda", "theta", "lambda_sb", "boundary")}
     return {
         alpha: linearised_problem(frame0, frame1, own, FlowParams().replace({**model, "alpha": alpha}))
         for alpha in alphas

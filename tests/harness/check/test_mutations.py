@@ -59,7 +59,7 @@ def checked(monkeypatch) -> Callable[..., Verdict]:
         name, wanted = part
 
         def is_wanted(planned: PlannedPoint) -> bool:
-            known = {**planned.point.params, **planned.labels}
+            known = {**planned.point.canonical, **planned.labels}
             return all(known[key] in values for key, values in wanted.items())
 
         def plan(name: str) -> Plan:
@@ -121,7 +121,7 @@ def test_what_is_not_changed_holds(checked, part):
 @pytest.mark.parametrize("factor", [0.99, 1.01])
 def test_theta_changed_by_one_per_cent_is_seen(checked, part, factor):
     def change(point: Point) -> Point:
-        return replace(point, params={**point.params, "theta": str(factor * float(point.params["theta"]))})
+        return replace(point, params=point.params.replace({"theta": factor * point.params.theta}))
 
     assert columns(checked(part, change)) & {"aae", "aepe", "sdae"}
 

@@ -53,7 +53,7 @@ def test_table_2_is_the_papers(work):
     assert len(labels) == 3 * 8 * 2
     assert [label["method"] for label in labels[:2]] == ["tvl1", "tvl1_sb"]
     assert list(dict.fromkeys(label["protocol"] for label in labels)) == ["reference", "published", "as_printed"]
-    assert {planned.point.params.get("lambda_sb", "10") for planned in plan.points} == {"10"}
+    assert {planned.point.canonical.get("lambda_sb", "10") for planned in plan.points} == {"10"}
 
 
 def test_ones_own_experiment_is_found_in_the_working_folder(work):

@@ -12,11 +12,12 @@ from threadpoolctl import threadpool_info
 from fracbench import estimate_flow
 from fracbench.data.datasets.synthetic import scenes as synthetic
 from fracbench.data.pair import FramePair
+from fracbench.data.regions import Region
 from fracbench.errors import InputError
 from fracbench.evaluation.metrics import flow_errors
 from fracbench.harness.run import compute_point as task
 from fracbench.harness.run.compute_point import point_arrays, run_point
-from fracbench.harness.run.point import Point, canonical_value
+from fracbench.harness.run.point import Point
 from fracbench.methods.paper import energy_growth
 from fracbench.methods.registry import get_method
 from fracbench.model.coarse_to_fine import FlowResult
@@ -28,9 +29,9 @@ QUICK = {"n_scales": 1, "n_warps": 2, "max_iter": 3}
 
 def a_point(method="tvl1", scene="edge", box=None, context=0, digest=None, **values):
     chosen = get_method(method)
-    given = FlowParams().replace(chosen.defaults).replace({**QUICK, **values}).as_dict()
-    params = {name: canonical_value(given[name]) for name in sorted(chosen.uses)}
-    return Point(method, params, "synthetic", scene, box, context, digest or synthetic.digest(scene))
+    params = FlowParams().replace(chosen.defaults).replace({**QUICK, **values})
+    region = None if box is None else Region("box", scene, box[:2], box[2:])
+    return Point(method, params, "synthetic", scene, region, context, digest or synthetic.digest(scene))
 
 
 def use_method(monkeypatch, estimate):
@@ -253,7 +254,10 @@ def test_a_sequence_without_truth_cannot_be_scored(monkeypatch):
 
 def test_noise_and_seed_are_those_of_the_scene():
     point = dataclasses.replace(
-        a_point(digest=synthetic.digest("edge", noise=2.5, seed=3)), noise="2.5", seed=3, box=(9, 60, 9, 60)
+        a_point(digest=synthetic.digest("edge", noise=2.5, seed=3)),
+        noise=2.5,
+        seed=3,
+        region=Region("box", "edge", (9, 60), (9, 60)),
     )
     frame0, frame1, _, _ = point_arrays(point, None)
     scene = synthetic.scene("edge", noise=2.5, seed=3)

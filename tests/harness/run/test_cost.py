@@ -2,15 +2,18 @@ from __future__ import annotations
 
 import pytest
 
+from fracbench.data.regions import Region
 from fracbench.harness.run.cost import ROUGH_SECONDS_PER_PIXEL, expected_seconds
 from fracbench.harness.run.point import Point
 from fracbench.harness.run.store import Row
+from fracbench.model.params import FlowParams
 
 SCENE = 128 * 160
 
 
 def a_point(method="tvl1", dataset="synthetic", sequence="edge", box=None, context=0):
-    return Point(method, {}, dataset, sequence, box, context, "")
+    region = None if box is None else Region("box", sequence, box[:2], box[2:])
+    return Point(method, FlowParams(), dataset, sequence, region, context, "")
 
 
 def a_row(seconds, status="done", **of_the_point):

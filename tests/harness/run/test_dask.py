@@ -24,6 +24,7 @@ from fracbench.harness.run.plan import make_plan
 from fracbench.harness.run.point import Point
 from fracbench.harness.run.store import Row, Store
 from fracbench.model import SOLVER_VERSION
+from fracbench.model.params import FlowParams
 
 SMALL = ("sequence=synthetic_flat", "n_scales=1", "n_warps=1")
 
@@ -153,7 +154,7 @@ def test_a_worker_that_dies_twice_makes_a_row(running, store, monkeypatch):
     def instead(job, compute):
         import os
 
-        if job.point.params["alpha"] == "0.3":
+        if job.point.canonical["alpha"] == "0.3":
             os._exit(9)
         return compute()
 
@@ -250,7 +251,7 @@ def test_a_scheduler_that_goes_ends_the_sweep_in_one_line(running, store):
 
 
 def a_job(**changes):
-    point = Point("tvl1", {}, "middlebury", "Grove2", None, 0, "digest")
+    point = Point("tvl1", FlowParams(), "middlebury", "Grove2", None, 0, "digest")
     return Job(
         **{"key": "k", "point": point, "attempt": 1, "solver_version": SOLVER_VERSION, "commit": {}} | changes
     )

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from fracbench.data.regions import Region
 from fracbench.errors import FracbenchError
 from fracbench.harness.run import point as point_module
 from fracbench.harness.run import pool as workers
@@ -36,7 +37,7 @@ def plan(*tokens, base=FLAT):
 
 
 def by_alpha(made, report):
-    return {planned.point.params["alpha"]: report.rows[planned.point.key] for planned in made.points}
+    return {planned.point.canonical["alpha"]: report.rows[planned.point.key] for planned in made.points}
 
 
 def replace_point(monkeypatch, instead):
@@ -180,7 +181,7 @@ def test_changed_data_are_a_reason(store, fake_rows):
 
 def test_a_point_that_fails_is_a_row_and_the_others_go_on(store, monkeypatch):
     def instead(point, finish):
-        return finish("failed", "made to fail") if point.params["alpha"] == "1" else finish()
+        return finish("failed", "made to fail") if point.canonical["alpha"] == "1" else finish()
 
     replace_point(monkeypatch, instead)
     made = plan("alpha=0:2:0.5")
@@ -218,7 +219,7 @@ def test_a_worker_that_dies_costs_its_point_one_retry_alone(store, monkeypatch, 
         import os
         import time
 
-        alpha = point.params["alpha"]
+        alpha = point.canonical["alpha"]
         with log.open("a") as file:
             file.write(f"start {alpha}\n")
         if alpha == "0":
@@ -256,7 +257,7 @@ def test_one_worker_may_die_as_well(store, monkeypatch):
     def instead(point, finish):
         import os
 
-        if point.params["alpha"] == "1":
+        if point.canonical["alpha"] == "1":
             os._exit(9)
         return finish()
 
@@ -296,10 +297,10 @@ def test_a_point_over_time_is_a_row_and_costs_no_other(store, monkeypatch, tmp_p
         import time
 
         with log.open("a") as file:
-            file.write(f"{point.params['alpha']}\n")
-        if point.params["alpha"] == "0":  # Python itself stands still: nothing else in this process gets a turn
+            file.write(f"{point.canonical['alpha']}\n")
+        if point.canonical["alpha"] == "0":  # Python itself stands still: nothing else in this process gets a turn
             ctypes.PyDLL(None).sleep(20)
-        time.sleep(0.4 if point.params["alpha"] == "1" else 0.0)
+        time.sleep(0.4 if point.canonical["alpha"] == "1" else 0.0)
         return finish()
 
     replace_point(monkeypatch, instead)
@@ -462,10 +463,10 @@ def test_a_claim_ends_with_its_process(store):
 def test_the_largest_points_go_first(store, monkeypatch):
     replace_point(monkeypatch, lambda point, finish: finish())
     made = plan("alpha=0,1,2")
-    boxes = [(0, 20, 0, 20), None, (0, 100, 0, 100)]
+    regions = [Region("small", "edge", (0, 20), (0, 20)), None, Region("large", "edge", (0, 100), (0, 100))]
     points = [
-        replace(planned, point=replace(planned.point, box=box))
-        for planned, box in zip(made.points, boxes, strict=True)
+        replace(planned, point=replace(planned.point, region=region))
+        for planned, region in zip(made.points, regions, strict=True)
     ]
     seen = []
     execute.run(replace(made, points=tuple(points)), store, jobs=1, on_row=seen.append)
@@ -565,7 +566,7 @@ def test_one_job_means_one_point_at_a_time(store, monkeypatch, tmp_path):
 
         for what in ("start", "end"):
             with log.open("a") as file:
-                file.write(f"{what} {point.params['alpha']}\n")
+                file.write(f"{what} {point.canonical['alpha']}\n")
             time.sleep(0.05)
         return finish()
 

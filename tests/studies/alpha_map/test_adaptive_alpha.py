@@ -187,7 +187,7 @@ def test_every_class_and_single_order_is_planned_on_every_sequence(experiment):
     singles = {planned.point.key for planned in plan.points if planned.labels["part"] == "single"}
     assert {planned.point.key for planned in plan.points if planned.labels["part"] == "oracle"} <= singles
     assert {planned.labels["protocol"] for planned in plan.points} == {"recommended"}
-    corners = {(planned.point.params.get("alpha_edge"), planned.point.params.get("alpha_corner"))
+    corners = {(planned.point.canonical.get("alpha_edge"), planned.point.canonical.get("alpha_corner"))
                for planned in plan.points}  # fmt: skip
     assert all(edge == corner for edge, corner in corners)
 

@@ -199,8 +199,8 @@ def test_a_failed_point_is_never_the_best_and_leaves_a_gap(tmp_path, fake_rows, 
     lost = next(
         planned.point.key
         for planned in made.points
-        if planned.labels["region"] == "grove2_A" and planned.point.params["alpha"] == "1.2"
-        and planned.point.params["lambda_sb"] == "4"
+        if planned.labels["region"] == "grove2_A" and planned.point.canonical["alpha"] == "1.2"
+        and planned.point.canonical["lambda_sb"] == "4"
     )  # fmt: skip
     rows[lost] = fake_rows(made, status="diverged")[lost]
     render(experiment, made, rows, tmp_path)

@@ -32,6 +32,10 @@ ALPHAS = np.round(np.arange(0.0, 2.01, 0.2), 1)
 BEST = {"lone_flat": 0.2, "lone_edge": 1.2, "lone_corner": 0.8}
 
 
+def box(point):
+    return None if point.region is None else (*point.region.rows, *point.region.cols)
+
+
 def long(best=BEST, spread=0.02, n=20, depth=0.3, seed=0) -> pd.DataFrame:
     """Errors with a valley at a known alpha, all of one seed multiplied by one large factor."""
     rng = np.random.default_rng(seed)
@@ -160,17 +164,17 @@ def test_the_experiment_asks_what_the_issue_asks():
     one = [f"{axis.keys[0]}={axis.values[-1][0]}" for axis in grid.axes]
     points = [planned.point for planned in plan_experiment({"scenes": one}, allow_download=False).points]
     assert {point.sequence for point in points} == set(LONE)
-    assert {(point.seed, point.noise, point.params["alpha"]) for point in points} == {(19, "3", "2")}
-    assert {(point.method, point.box) for point in points} == {("tvl1_sb_alpha", (24, 72, 24, 72))}
+    assert {(point.seed, point.noise, point.canonical["alpha"]) for point in points} == {(19, 3.0, "2")}
+    assert {(point.method, box(point)) for point in points} == {("tvl1_sb_alpha", (24, 72, 24, 72))}
 
 
 def test_classes_are_those_of_whole_frames():
     grids = {"classes": load_experiment("alpha_by_structure").grids["classes"]}
     points = [p.point for p in plan_experiment(grids, ["dataset=synthetic"], allow_download=False).points]
     assert len(points) == len({point.key for point in points}) == 8 * 2 * 10
-    assert {(point.box, point.context, point.score) for point in points} == {(None, 0, "structure")}
-    assert {point.params["boundary"] for point in points} == {"zero", "reflect"}
-    assert sorted({float(point.params["alpha"]) for point in points}) == pytest.approx(np.arange(1, 11) / 5)
+    assert {(box(point), point.context, point.score) for point in points} == {(None, 0, "structure")}
+    assert {point.canonical["boundary"] for point in points} == {"zero", "reflect"}
+    assert sorted({float(point.canonical["alpha"]) for point in points}) == pytest.approx(np.arange(1, 11) / 5)
 
 
 def test_both_parts_become_one_form(small):
