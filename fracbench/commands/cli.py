@@ -200,7 +200,7 @@ def _sweep(arguments: argparse.Namespace) -> int:
     tokens = tuple(arguments.overrides)
     if not tokens:
         raise InputError("sweep: what is to be swept? e.g. fracbench sweep alpha=0:2:0.1 region=grove2_A")
-    return _conduct(Experiment(_slug(tokens), " ".join(tokens), "sweep", {MAIN: tokens}), (), arguments)
+    return _run_experiment(Experiment(_slug(tokens), " ".join(tokens), "sweep", {MAIN: tokens}), (), arguments)
 
 
 def _slug(tokens: Sequence[str]) -> str:
@@ -238,7 +238,7 @@ def _experiment(arguments: argparse.Namespace) -> int:
     from fracbench.harness.config.experiment import load_experiment
 
     experiment = load_experiment(arguments.name)
-    return _conduct(experiment, _settings(arguments.name, arguments.overrides), arguments)
+    return _run_experiment(experiment, _settings(arguments.name, arguments.overrides), arguments)
 
 
 def _settings(name: str, overrides: Sequence[str]) -> Sequence[str]:
@@ -274,11 +274,11 @@ def _claims(arguments: argparse.Namespace) -> int:
     return EXIT_DONE
 
 
-def _conduct(experiment: Experiment, settings: Sequence[str], arguments: argparse.Namespace) -> int:
+def _run_experiment(experiment: Experiment, settings: Sequence[str], arguments: argparse.Namespace) -> int:
     """Plan, compute what is missing, store, draw."""
-    from fracbench.commands import run as session
+    from fracbench.commands import run
 
-    outcome = session.conduct(
+    failed = run.run_experiment(
         experiment,
         [*settings, *_limit(arguments)],
         jobs=arguments.jobs,
@@ -286,7 +286,7 @@ def _conduct(experiment: Experiment, settings: Sequence[str], arguments: argpars
         rerun_failed=arguments.rerun == "failed",
         small=arguments.small,
     )
-    return EXIT_FAILED if outcome.failed else EXIT_DONE
+    return EXIT_FAILED if failed else EXIT_DONE
 
 
 def _limit(arguments: argparse.Namespace) -> list[str]:
@@ -294,16 +294,16 @@ def _limit(arguments: argparse.Namespace) -> list[str]:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    from fracbench.commands import run as session
+    from fracbench.commands import run
 
-    session.run_one(arguments.overrides)
+    run.run_point(arguments.overrides)
     return EXIT_DONE
 
 
 def _estimate(arguments: argparse.Namespace) -> int:
-    from fracbench.commands import run as session
+    from fracbench.commands import run
 
-    session.estimate_files(
+    run.estimate_pair(
         arguments.frame0,
         arguments.frame1,
         arguments.output,

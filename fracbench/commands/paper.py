@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fracbench.commands import console
-from fracbench.commands.run import announce, compute, say_failures
+from fracbench.commands.run import run_plan, say_cost, say_failures
 from fracbench.harness.config.experiment import Experiment, list_experiments, load_experiment
 from fracbench.harness.run.plan import Plan, plan_experiment
 from fracbench.harness.run.store import STORE, Store
@@ -75,11 +75,11 @@ def report(
     }
     workers = start.config.parallel.jobs if jobs is None else jobs
     if dry_run:
-        announce(_together(plans), start.config.results, workers)
+        say_cost(_together(plans), workers)
         return 0
     for experiment in experiments.values():
         require_renderer(experiment)
-    done = compute(_together(plans), "report", workers)
+    done = run_plan(_together(plans), "report", workers)
     console.say(f"{len(done.rows)} points, {done.computed} computed")
     sources = Sources(start.config.results, settings, small, plans)
     drawing = [(_draw, experiment, plans[name], Path.cwd()) for name, experiment in experiments.items()]

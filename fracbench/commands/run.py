@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,18 +17,9 @@ from fracbench.harness.run.store import RUNS, STORE, Store
 
 if TYPE_CHECKING:
     from fracbench.model.coarse_to_fine import FlowResult
-    from fracbench.studies.base import Artefact
 
 
-@dataclass
-class Conducted:
-    """What `conduct` came to: the plan, and how many of its points failed."""
-
-    plan: Plan
-    failed: int = 0
-
-
-def conduct(
+def run_experiment(
     experiment: Experiment,
     settings: Sequence[str] = (),
     *,
@@ -37,8 +27,8 @@ def conduct(
     dry_run: bool = False,
     rerun_failed: bool = False,
     small: bool = False,
-) -> Conducted:
-    """Run what is missing of an experiment and write its artefact.
+) -> int:
+    """Compute the missing points of an experiment and write its artefact.
 
     Parameters
     ----------
@@ -57,8 +47,8 @@ def conduct(
 
     Returns
     -------
-    Conducted
-        The plan and the number of failed points.
+    int
+        The number of points that are not done.
 
     Raises
     ------
@@ -70,11 +60,15 @@ def conduct(
     plan = plan_experiment(experiment.grids, settings, allow_download=not dry_run, small=small)
     for notice in plan.notices:
         console.note(f"note: {notice}")
-    results, workers = plan.config.results, jobs or plan.config.parallel.jobs
+    workers = jobs or plan.config.parallel.jobs
     if dry_run:
-        announce(plan, results, workers, rerun_failed=rerun_failed)
-        return Conducted(plan)
-    report, artefact = perform(experiment, plan, workers, rerun_failed=rerun_failed)
+        say_cost(plan, workers, rerun_failed=rerun_failed)
+        return 0
+    from fracbench.studies.registry import render, require_renderer
+
+    require_renderer(experiment)
+    report = run_plan(plan, experiment.name, workers, rerun_failed=rerun_failed)
+    artefact = render(experiment, plan, report.rows, plan.config.results)
     _say_computed(report)
     for title, view in artefact.views:
         console.show_table(view, title)
@@ -84,20 +78,18 @@ def conduct(
     for path in artefact.files:
         console.say(f"wrote {path}")
     say_failures(report)
-    return Conducted(plan, len(report.failed))
+    return len(report.failed)
 
 
-def perform(
-    experiment: Experiment, plan: Plan, jobs: int, *, rerun_failed: bool = False
-) -> tuple[execute.Report, Artefact]:
-    """Compute what is missing of an experiment, under a progress bar, and write its artefact.
+def run_plan(plan: Plan, name: str, jobs: int, *, rerun_failed: bool = False) -> execute.Report:
+    """Compute the missing points of a plan, under a progress bar of that name.
 
     Parameters
     ----------
-    experiment : Experiment
-        Grids and artefact.
     plan : Plan
-        Its points.
+        Points.
+    name : str
+        Label of the progress bar.
     jobs : int
         Worker processes.
     rerun_failed : bool, optional
@@ -105,25 +97,14 @@ def perform(
 
     Returns
     -------
-    report : fracbench.harness.run.sweep.Report
-        What was computed.
-    artefact : fracbench.studies.base.Artefact
-        What was written.
+    fracbench.harness.run.sweep.Report
+        Rows and counts.
 
     Raises
     ------
     InputError
-        An unknown artefact, or a folder that cannot be written.
+        Fewer than one worker, or a results folder that cannot be written.
     """
-    from fracbench.studies.registry import render, require_renderer
-
-    require_renderer(experiment)
-    report = compute(plan, experiment.name, jobs, rerun_failed=rerun_failed)
-    return report, render(experiment, plan, report.rows, plan.config.results)
-
-
-def compute(plan: Plan, name: str, jobs: int, *, rerun_failed: bool = False) -> execute.Report:
-    """Compute what is missing of a plan, under a progress bar of that name; see `perform`."""
     from fracbench.data.files import ensure_folder
 
     require_workers(jobs)
@@ -141,11 +122,11 @@ def require_workers(jobs: int) -> None:
         raise InputError(f"--jobs must be at least 1, got {jobs}")
 
 
-def announce(plan: Plan, results: Path, jobs: int, *, rerun_failed: bool = False) -> None:
+def say_cost(plan: Plan, jobs: int, *, rerun_failed: bool = False) -> None:
     """Say how many points a plan has, how many are stored, and the minutes that the others take."""
     from fracbench.harness.run.cost import expected_seconds
 
-    with Store(results / STORE, readonly=True) as store:
+    with Store(plan.config.results / STORE, readonly=True) as store:
         report, todo = execute.missing(plan, store, rerun_failed=rerun_failed)
         seconds, measured = expected_seconds(todo.values(), store.rows("done"), jobs)
     basis = "from stored points of the same methods" if measured else "rough: nothing like it is stored yet"
@@ -189,7 +170,7 @@ def say_failures(report: execute.Report) -> None:
         )
 
 
-def run_one(tokens: Sequence[str]) -> None:
+def run_point(tokens: Sequence[str]) -> None:
     """Compute one configured flow and write it below ``results/runs/flows``.
 
     Parameters
@@ -229,7 +210,7 @@ def run_one(tokens: Sequence[str]) -> None:
     _say_settings(plan)
 
 
-def estimate_files(
+def estimate_pair(
     frame0: Path,
     frame1: Path,
     output: Path,
