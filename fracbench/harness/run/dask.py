@@ -20,6 +20,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
 
+from fracbench.data.datasets.registry import get_dataset
 from fracbench.errors import FracbenchError, InputError
 from fracbench.harness.run import provenance
 from fracbench.harness.run.message import Job
@@ -187,11 +188,8 @@ def _connect(address: str | None) -> Any:
 
 
 def _files(job: Job) -> Mapping[str, bytes]:
-    if job.point.dataset != "middlebury":
-        return {}
-    from fracbench.data.datasets import middlebury
-
-    return middlebury.contents(job.point.sequence, str(job.folder))
+    contents = get_dataset(job.point.dataset).contents
+    return {} if contents is None else contents(job.point.sequence, job.folder)
 
 
 def _compute(job: Job, files: Mapping[str, bytes], topic: str) -> bool:
@@ -204,7 +202,7 @@ def _compute(job: Job, files: Mapping[str, bytes], topic: str) -> bool:
         )
     if files:
         _unpack(job, files)
-    elif job.point.dataset == "middlebury" and not task.holds(job.point.data_digest):
+    elif get_dataset(job.point.dataset).contents and not task.holds(job.point.data_digest):
         return False
     with _wanted():
         _work(job, topic)
@@ -267,8 +265,7 @@ def _alarm(seconds: float | None, ring: Callable[[], None]) -> Iterator[None]:
 
 
 def _unpack(job: Job, files: Mapping[str, bytes]) -> None:
-    """Load the sequence from what was sent: every file is verified against its registered SHA-256."""
-    from fracbench.data.datasets import middlebury
+    """Load the pair from the files that were sent."""
     from fracbench.harness.run import compute_point as task
 
     with tempfile.TemporaryDirectory(prefix="fracbench-") as name:
@@ -276,4 +273,6 @@ def _unpack(job: Job, files: Mapping[str, bytes]) -> None:
         folder.mkdir()
         for file, content in files.items():
             (folder / file).write_bytes(content)
-        task.hold(middlebury.load(job.point.sequence, name))
+        point = job.point
+        load = get_dataset(point.dataset).load
+        task.hold(load(point.sequence, Path(name), noise=point.noise, seed=point.seed))
