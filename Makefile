@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 FRACBENCH := $(BIN)/python -m fracbench
 
 .DEFAULT_GOAL := help
-.PHONY: help setup table2 figures paper beyond readme check test test-python lint format clean
+.PHONY: help setup table2 figures paper beyond publish check test test-python lint format clean
 
 help: ## list the commands
 	@awk -F ':.*## ' '/^[a-z0-9_-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -29,8 +29,8 @@ paper: $(VENV)/.ready ## everything of the paper, with a verdict on every claim,
 beyond: $(VENV)/.ready ## the experiments beyond the paper, in the same page's section of that name
 	$(FRACBENCH) report --beyond
 
-readme: $(VENV)/.ready ## renew the answer in README.md from what is stored
-	$(FRACBENCH) claims --readme README.md
+publish: $(VENV)/.ready ## maintainers: renew results/committed and the answer in README.md from what is computed
+	$(BIN)/python -m tools.publish
 
 check: $(VENV)/.ready ## recompute the stored tables and compare them cell by cell
 	$(FRACBENCH) check
@@ -53,5 +53,5 @@ format: $(VENV)/.ready ## put the code in house style
 	$(BIN)/ruff check --fix .
 
 clean: ## remove the environment and everything computed
-	rm -rf $(VENV) results/runs results/sweeps build dist
+	rm -rf $(VENV) results/figures results/private results/runs results/sweeps results/tables build dist
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fracbench.harness.config.experiment import Experiment, list_experiments, load_experiment
+from fracbench.harness.config.paths import checkout
 from fracbench.harness.run.plan import Plan, plan_experiment
 from fracbench.harness.run.store import RUNS, Row, Store
 from fracbench.report.claims.judging import CONTEXT
@@ -27,6 +28,14 @@ PROTOCOLS = {
 }
 #: What the names of files end with, by data set and size; see `fracbench.studies.base.file_stem`.
 SUFFIXES = ("", "_synthetic", "_small", "_synthetic_small")
+#: Copies of the tables and figures of the whole paper on Middlebury, renewed by `make publish`.
+COMMITTED = "results/committed"
+
+
+def homes(results: Path) -> tuple[Path, ...]:
+    """Return the folders that hold tables and figures: the user's own, then the committed ones."""
+    root = checkout()
+    return (results,) if root is None else (results, root / COMMITTED)
 
 
 @dataclass(frozen=True)
@@ -144,6 +153,10 @@ class Sources:
         from fracbench.report.claims.claims import evaluate
 
         return evaluate(self.load)
+
+    def find(self, relative: str) -> Path | None:
+        """Return a file such as ``tables/answer.md``: the user's own, else the committed copy, else None."""
+        return next((home / relative for home in homes(self.results) if (home / relative).is_file()), None)
 
     def command(self, name: str) -> str:
         """Return the command that computes an experiment."""

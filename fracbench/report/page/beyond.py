@@ -1,9 +1,9 @@
-"""What the report says of the experiments beyond the paper: from their files, as they were written last."""
+"""The report's section on the experiments beyond the paper, made from the tables and figures that they wrote."""
 
 from __future__ import annotations
 
 from fracbench.report.page.elements import Block, Details, Heading, Missing, Section, Text, demoted
-from fracbench.report.page.exhibits import document, drawn
+from fracbench.report.page.exhibits import document, drawn, place
 from fracbench.report.sources import Sources
 
 #: In the order in which they are told.
@@ -43,11 +43,12 @@ def _told(name: str, sources: Sources) -> list[Block]:
     if source is None:
         return []
     heading = Heading(source.experiment.title, f"beyond-{name}")
-    path = sources.results / "tables" / f"{name}{source.suffix}.md"
-    if not path.is_file():
+    path = sources.find(f"tables/{name}{source.suffix}.md")
+    if path is None:
         return [heading, Missing(f"the experiment {name}", source.command)]
+    shown = place(path, sources.results).replace("`", "")
     lines = path.read_text(encoding="utf-8").splitlines()[1:]  # the title is the heading's
     first = next((i for i, line in enumerate(lines) if line.startswith(("|", "## "))), len(lines))
     said, rest = "\n".join(lines[:first]).strip(), "\n".join(lines[first:]).strip()
-    folded: list[Block] = [Details(f"The tables: tables/{path.name}", [Text(demoted(rest, 2))])] if rest else []
+    folded: list[Block] = [Details(f"The tables: {shown}", [Text(demoted(rest, 2))])] if rest else []
     return [heading, Text(said, "answer"), *drawn(source, sources.results), *folded]

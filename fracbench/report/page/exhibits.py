@@ -1,4 +1,4 @@
-"""What the report shows: figures as they were drawn last, pictures of each sequence, documents."""
+"""Figures, pictures of each sequence and documents on the report's page, from the files that hold them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from fracbench.report.page.elements import (
     embedded_file,
 )
 from fracbench.report.page.gallery import gallery, missing_flows, scenes, shared_scale
-from fracbench.report.sources import PROTOCOLS, SUFFIXES, Source, Sources
+from fracbench.report.sources import COMMITTED, PROTOCOLS, SUFFIXES, Source, Sources, homes
 
 
 def document(path: str, summary: str) -> list[Block]:
@@ -33,8 +33,8 @@ def document(path: str, summary: str) -> list[Block]:
 
 def answer_picture(sources: Sources) -> list[Block]:
     """Return the picture that sums the paper and ours up, if it has been drawn."""
-    path = sources.results / "figures" / f"answer{sources.suffix}.png"
-    if not path.is_file():
+    path = sources.find(f"figures/answer{sources.suffix}.png")
+    if path is None:
         return []
     uri, size = embedded_file(path)
     alt = (
@@ -43,9 +43,16 @@ def answer_picture(sources: Sources) -> list[Block]:
     )
     caption = (
         "The paper's numbers (black) beside ours. Left: the order with the smallest AEPE on each region. Right: "
-        f"Table 2. File `figures/{path.name}`, also as PDF and CSV."
+        f"Table 2. {place(path, sources.results)}, also as PDF and CSV."
     )
     return [Picture(uri, alt, caption, size)]
+
+
+def place(path: Path, results: Path) -> str:
+    """Return the words of a caption that say which file is shown, and whether it is a committed copy."""
+    if path.is_relative_to(results):
+        return f"File `{path.relative_to(results)}`"
+    return f"Committed copy: `{COMMITTED}/{path.parent.name}/{path.name}`"
 
 
 # -- figures -------------------------------------------------------------------------------------
@@ -66,7 +73,7 @@ def figures(sources: Sources) -> Section:
 
 
 def figures_of(sources: Sources, name: str) -> list[Block]:
-    """Return an experiment's figures as they were drawn last, or how to draw them once its points are there."""
+    """Return an experiment's figures, or how to draw them once its points are there."""
     source = sources.get(name)
     if source is None:
         return []
@@ -77,12 +84,14 @@ def figures_of(sources: Sources, name: str) -> list[Block]:
 
 
 def drawn(source: Source, results: Path) -> list[Block]:
-    """Return an experiment's figures as they were drawn last."""
-    return [_figure(source, path, variant) for variant, path in figure_files(results, source).items()]
+    """Return an experiment's figures: the user's own, else the committed copies."""
+    return [_figure(source, path, variant, results) for variant, path in figure_files(results, source).items()]
 
 
 def figure_files(results: Path, source: Source) -> dict[str, Path]:
     """Return the PNG files of an experiment's artefact, for this data set and size, by variant.
+
+    Where the results folder holds none of them, the committed copies take their place.
 
     Parameters
     ----------
@@ -99,12 +108,17 @@ def figure_files(results: Path, source: Source) -> dict[str, Path]:
     """
     name, ending = source.experiment.name, source.suffix
     others = tuple(other for other in SUFFIXES if other and other != ending and not ending.endswith(other))
-    found = {}
-    for folder in ("figures", "private"):
-        for path in sorted((results / folder).glob(f"{name}*{ending}.png")):
+    found: dict[str, Path] = {}
+    for home in homes(results):
+        paths = [
+            path for folder in ("figures", "private") for path in (home / folder).glob(f"{name}*{ending}.png")
+        ]
+        for path in sorted(paths):
             variant = path.stem.removeprefix(name).removesuffix(ending)
             if not path.stem.endswith(others) and (not variant or variant.startswith("_")):
                 found[variant.removeprefix("_")] = path
+        if found:
+            break
     order = ["", *PROTOCOLS, *found]
     return dict(sorted(found.items(), key=lambda item: order.index(item[0])))
 
@@ -127,7 +141,7 @@ _ALT = {
 }
 
 
-def _figure(source: Source, path: Path, variant: str) -> Picture:
+def _figure(source: Source, path: Path, variant: str, results: Path) -> Picture:
     uri, size = embedded_file(path)
     experiment = source.experiment
     said = f"Protocol `{variant}`: {PROTOCOLS[variant]}." if variant in PROTOCOLS else _VARIANTS.get(variant, "")
@@ -135,8 +149,7 @@ def _figure(source: Source, path: Path, variant: str) -> Picture:
         {"x": experiment.options.get("x", ""), "family": experiment.options.get("family", "")}
     )
     alt = ", ".join(part for part in (experiment.title, variant, shows) if part)
-    numbers = f"`{path.parent.name}/{path.name}`"
-    return Picture(uri, alt, f"{said} File {numbers}, also as PDF.".strip(), size)
+    return Picture(uri, alt, f"{said} {place(path, results)}, also as PDF.".strip(), size)
 
 
 def pictures(sources: Sources) -> Section:

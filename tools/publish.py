@@ -1,0 +1,123 @@
+"""Renew the committed tables and figures, and the answer in README.md, from what the working folder has computed.
+
+Run as ``make publish``, after ``make paper`` and ``make beyond``, from a clean commit and on Middlebury.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from fracbench.commands.paper import PAPER
+from fracbench.errors import InputError
+from fracbench.harness.config.paths import checkout
+from fracbench.report.claims import answer
+from fracbench.report.page.beyond import EXPERIMENTS
+from fracbench.report.sources import COMMITTED, SUFFIXES, Sources
+
+FOLDERS = ("tables", "figures")
+#: The README's pictures that belong to no experiment, and the commands that write them.
+PICTURES = {
+    "readme_alpha.png": ("sweep", "alpha=0:2:0.1", "region=grove2_A", "dataset=middlebury"),
+    "readme_flow.png": ("run", "sequence=rubberwhale", "protocol=recommended", "dataset=middlebury"),
+}
+
+
+def computed(results: Path) -> list[Path]:
+    """Return the files to publish, relative to the results folder: the whole paper's and those beyond it."""
+    names = "|".join((*PAPER, *EXPERIMENTS, "answer", "claims"))
+    wanted = re.compile(rf"(?!\.)({names})(_\w+)?\.\w+")
+    endings = tuple(suffix for suffix in SUFFIXES if suffix)
+    return [
+        path.relative_to(results)
+        for folder in FOLDERS
+        for path in sorted((results / folder).glob("*"))
+        if wanted.fullmatch(path.name) and not path.stem.endswith(endings)
+    ]
+
+
+def problems(results: Path, committed: Path, sources: Sources) -> list[str]:
+    """Say why the files cannot be published, a line each; nothing if they can.
+
+    Parameters
+    ----------
+    results, committed : Path
+        The folder of what is computed, and that of the committed copies.
+    sources : Sources
+        The stored points.
+
+    Returns
+    -------
+    list of str
+        Synthetic data, points that are missing or come from a commit with local changes, files that are missing
+        or tell of such a commit.
+    """
+    if sources.stand_in:
+        return ["the Middlebury sequences are not at hand: the tables would be of synthetic scenes"]
+    found = []
+    for name in (*PAPER, *EXPERIMENTS):
+        source = sources.get(name)
+        if source is None:
+            continue
+        if source.n_missing:
+            found.append(f"{name}: {source.n_missing} of {source.n_points} points are missing: {source.command}")
+        n_dirty = sum(bool(row.provenance.get("dirty")) for row in source.rows.values())
+        if n_dirty:
+            found.append(f"{name}: {n_dirty} points were computed from a commit with local changes")
+    files = computed(results)
+    here = {path.relative_to(committed) for folder in FOLDERS for path in (committed / folder).glob("*")}
+    absent = sorted(path for path in here - {*files} if path.name not in PICTURES)
+    found += [f"{results / path}: is missing; run make paper and make beyond" for path in absent]
+    for path in files:
+        if path.suffix == ".md" and " with local changes" in (results / path).read_text(encoding="utf-8"):
+            found.append(f"{results / path}: was computed from a commit with local changes")
+    return found
+
+
+def publish(results: Path, committed: Path) -> int:
+    """Copy the computed tables and figures over the committed ones; return how many files differ now."""
+    changed = 0
+    for path in computed(results):
+        source, target = results / path, committed / path
+        if not target.is_file() or source.read_bytes() != target.read_bytes():
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(source, target)
+            changed += 1
+    return changed
+
+
+def draw(picture: str) -> Path:
+    """Run the command of one of the README's pictures and return the file that it wrote."""
+    command = [sys.executable, "-m", "fracbench", *PICTURES[picture]]
+    said = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    return Path(re.findall(r"(\S+\.png)\b", said)[-1])
+
+
+def main() -> int:
+    """Check, copy, and renew the README; return the exit code."""
+    root = checkout()
+    if root is None or root != Path.cwd():
+        raise InputError(f"publish: run it at the top of the checkout, {root}")
+    results, committed = root / "results", root / COMMITTED
+    sources = Sources(results)
+    found = problems(results, committed, sources)
+    if found:
+        print("\n".join(["nothing is published:", *found]), file=sys.stderr)
+        return 2
+    changed = publish(results, committed)
+    for picture in PICTURES:
+        shutil.copyfile(draw(picture), committed / "figures" / picture)
+    answer.renew(root / "README.md", sources)
+    print(f"renewed {changed} files and {len(PICTURES)} pictures in {COMMITTED}, and the answer in README.md")
+    return 0
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main())
+    except InputError as exc:
+        print(f"error: {exc}", file=sys.stderr)
+        sys.exit(2)
