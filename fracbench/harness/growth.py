@@ -185,7 +185,7 @@ def roofline(shape: tuple[int, int], *, repeats: int) -> dict[str, float]:
     """
     from threadpoolctl import threadpool_limits
 
-    from fracbench.studies.solvers.courses import iterate_once
+    from fracbench.studies.solvers.linearised_problem import iterate_once
 
     height, width = shape
     pixels = height * width

@@ -27,7 +27,7 @@ def protocol_study(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], 
     import pandas as pd
 
     from fracbench.figures.cache import draw
-    from fracbench.studies.solvers.figures import switch_dots
+    from fracbench.studies.solvers.solver_study_figure import switch_dots
 
     published = pd.read_csv(asset("results/published/table2.csv"))
     table = switch_table(tidy(plan, rows), published, experiment.grids)

@@ -23,8 +23,8 @@ from fracbench.studies.options import require_options
 from fracbench.studies.paper import figures as paper
 from fracbench.studies.paper.alpha_regions import alpha_regions
 from fracbench.studies.protocols import protocol_study
-from fracbench.studies.solvers.convergence import convergence
-from fracbench.studies.solvers.sweeps import solver_study
+from fracbench.studies.solvers.convergence_study import convergence
+from fracbench.studies.solvers.solver_study import solver_study
 from fracbench.studies.structure.artefact import alpha_by_structure
 
 if TYPE_CHECKING:

@@ -16,15 +16,15 @@ from fracbench.harness.config.paths import asset
 from fracbench.harness.run.plan import plan_experiment
 from fracbench.studies import registry as artefacts
 from fracbench.studies.protocols import protocol_study, switch_sentences, switch_table
-from fracbench.studies.solvers.figures import solver_panels, switch_dots
-from fracbench.studies.solvers.spectra import jacobi_limit
-from fracbench.studies.solvers.sweeps import (
+from fracbench.studies.solvers.solver_study import (
     printed_alphas,
     solver_sentences,
     solver_study,
     solver_summary,
     spectra_table,
 )
+from fracbench.studies.solvers.solver_study_figure import solver_panels, switch_dots
+from fracbench.studies.solvers.spectral_radius import jacobi_limit
 
 METRICS = ["aae", "aepe", "sdae"]
 GRIDS = {

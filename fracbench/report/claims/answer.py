@@ -24,7 +24,7 @@ from fracbench.report.claims.judging import (
 from fracbench.report.sources import PROTOCOLS, Sources
 from fracbench.studies import tables
 from fracbench.studies.base import FLAT
-from fracbench.studies.solvers.sweeps import printed_alphas
+from fracbench.studies.solvers.solver_study import printed_alphas
 
 if TYPE_CHECKING:
     import pandas as pd

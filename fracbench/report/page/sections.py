@@ -17,7 +17,7 @@ from fracbench.report.page.gallery import sequence_name
 from fracbench.report.sources import PROTOCOLS, Sources
 from fracbench.studies import tables
 from fracbench.studies.protocols import switch_sentences, switch_table
-from fracbench.studies.solvers.sweeps import SOLVERS, printed_alphas, solver_sentences, solver_summary
+from fracbench.studies.solvers.solver_study import SOLVERS, printed_alphas, solver_sentences, solver_summary
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -536,7 +536,7 @@ def test_the_projects_claims_are_whole():
 
 
 def test_the_papers_best_alphas_are_those_of_the_figures():
-    from fracbench.studies.solvers.sweeps import printed_alphas
+    from fracbench.studies.solvers.solver_study import printed_alphas
 
     stated = {
         (claim.args["regions"][0], claim.args["metrics"][0]): claim.args["low"]

@@ -10,8 +10,8 @@ from fracbench.harness.config.experiment import load_experiment
 from fracbench.harness.run.plan import plan_experiment
 from fracbench.model.params import FlowParams
 from fracbench.studies.registry import render
-from fracbench.studies.solvers.convergence import summarise
-from fracbench.studies.solvers.courses import (
+from fracbench.studies.solvers.convergence_study import summarise
+from fracbench.studies.solvers.linearised_problem import (
     DEFAULT,
     LITERAL,
     SOLVERS,

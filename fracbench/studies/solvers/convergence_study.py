@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-    from fracbench.studies.solvers.courses import Problem
+    from fracbench.studies.solvers.linearised_problem import Problem
 
 
 def convergence(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
@@ -56,7 +56,7 @@ def problems(region: str, alphas: list[float], plan: Plan) -> dict[float, Proble
     from fracbench.methods.registry import get_method
     from fracbench.model.params import FlowParams
     from fracbench.model.pyramid import stretch
-    from fracbench.studies.solvers.courses import linearised_problem
+    from fracbench.studies.solvers.linearised_problem import linearised_problem
 
     same_data = [f"dataset={plan.dataset}"]
     if plan.folder is not None:
@@ -92,7 +92,7 @@ def measure(options: Mapping[str, Any], plan: Plan) -> tuple[pd.DataFrame, dict[
     import pandas as pd
     from threadpoolctl import threadpool_limits
 
-    from fracbench.studies.solvers.courses import SOLVERS, course, minimum, sweep_seconds
+    from fracbench.studies.solvers.linearised_problem import SOLVERS, course, minimum, sweep_seconds
 
     limits = {"gap": options["last_gap"], "seconds": options["seconds"], "iterations": options["iterations"]}
     records, literal = [], {}
@@ -127,7 +127,7 @@ def summarise(courses: pd.DataFrame, gap: float, literal: Mapping[float, float])
     """
     import pandas as pd
 
-    from fracbench.studies.solvers.courses import DEFAULT, LITERAL
+    from fracbench.studies.solvers.linearised_problem import DEFAULT, LITERAL
 
     records = []
     for alpha, of_alpha in courses.groupby("alpha", sort=False):

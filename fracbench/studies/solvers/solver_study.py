@@ -33,7 +33,7 @@ NEAR_LIMIT, NEAR_PAPER = 0.2, 0.1 + 1e-9
 def solver_study(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
     """Compare the solvers of the u-step, alone and in whole runs; see `fracbench.studies.base.Renderer`."""
     from fracbench.figures.cache import draw
-    from fracbench.studies.solvers.figures import solver_panels
+    from fracbench.studies.solvers.solver_study_figure import solver_panels
 
     options = all_options(experiment)
     runs = tidy(plan, rows)
@@ -69,7 +69,7 @@ def _kept_spectra(stem: Path, pairs: pd.DataFrame, options: Mapping[str, Any]) -
     import pandas as pd
 
     from fracbench.figures.cache import keep
-    from fracbench.studies.solvers.spectra import SWEEPS
+    from fracbench.studies.solvers.spectral_radius import SWEEPS
 
     path = stem.with_name(f"{stem.name}.csv")
     files = keep([path], (pairs, options), lambda: tables.write_table(spectra_table(pairs, **options), stem))
@@ -113,7 +113,7 @@ def spectra_table(pairs: pd.DataFrame, *, size: int, alpha_step: float, tol: flo
     import pandas as pd
 
     from fracbench.model.operators.zero import left_derivative_matrix
-    from fracbench.studies.solvers.spectra import SWEEPS, spectral_radius, sweeps_needed
+    from fracbench.studies.solvers.spectral_radius import SWEEPS, spectral_radius, sweeps_needed
 
     v = np.random.default_rng(0).normal(size=(size, size))
     records = []
@@ -161,7 +161,7 @@ def solver_summary(
     """
     import pandas as pd
 
-    from fracbench.studies.solvers.spectra import jacobi_limit
+    from fracbench.studies.solvers.spectral_radius import jacobi_limit
 
     records = []
     for region, (theta, mu) in pairs.iterrows():

@@ -77,11 +77,11 @@ def solver_panels(spectra: pd.DataFrame, runs: pd.DataFrame, summary: pd.DataFra
     Parameters
     ----------
     spectra : pandas.DataFrame
-        From `fracbench.studies.solvers.sweeps.spectra_table`.
+        From `fracbench.studies.solvers.solver_study.spectra_table`.
     runs : pandas.DataFrame
         Tidy rows with ``region, u_solver, alpha, aepe``.
     summary : pandas.DataFrame
-        From `fracbench.studies.solvers.sweeps.solver_summary`.
+        From `fracbench.studies.solvers.solver_study.solver_summary`.
     title : str
         Heading.
 

@@ -10,7 +10,7 @@ import reference_impl as ref
 
 from fracbench.errors import InputError
 from fracbench.model.operators.zero import ZeroGradient
-from fracbench.studies.solvers.spectra import SWEEPS, jacobi_limit, spectral_radius, sweeps_needed
+from fracbench.studies.solvers.spectral_radius import SWEEPS, jacobi_limit, spectral_radius, sweeps_needed
 
 PAIRS = [(0.3, 5.0), (0.7, 1.0), (0.8, 10.0)]
 
