@@ -17,9 +17,11 @@ from fracbench.harness.run.store import Row
 from fracbench.harness.run.tidy import tidy
 from fracbench.studies import tables
 from fracbench.studies.base import Artefact, file_stem
+from fracbench.studies.paper.table2 import distance, versus_published
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.figure import Figure
 
 
 def protocol_study(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
@@ -27,7 +29,6 @@ def protocol_study(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], 
     import pandas as pd
 
     from fracbench.figures.cache import draw
-    from fracbench.studies.solvers.solver_study_figure import switch_dots
 
     published = pd.read_csv(asset("results/published/table2.csv"))
     table = switch_table(tidy(plan, rows), published, experiment.grids)
@@ -73,7 +74,7 @@ def switch_table(table: pd.DataFrame, published: pd.DataFrame, grids: Mapping[st
     """
     import pandas as pd
 
-    comparison = tables.versus_published(table.assign(protocol=table["part"]), published)
+    comparison = versus_published(table.assign(protocol=table["part"]), published)
     records = []
     for part, group in comparison.groupby("protocol", sort=False):
         base, _, switch = str(part).partition("/")
@@ -83,9 +84,9 @@ def switch_table(table: pd.DataFrame, published: pd.DataFrame, grids: Mapping[st
         better = (errors["tvl1_sb"] < errors["tvl1"]).groupby("metric").sum()
         off = np.abs(np.log(group["ratio"]))
         record: dict[str, Any] = {"protocol": base, "switch": switch, "set to": ", ".join(settings)}
-        record["distance"] = tables.distance(group["ratio"])
+        record["distance"] = distance(group["ratio"])
         for method in ("tvl1", "tvl1_sb"):
-            record[f"distance {method}"] = tables.distance(group[group["method"] == method]["ratio"])
+            record[f"distance {method}"] = distance(group[group["method"] == method]["ratio"])
         record |= {f"within {p} %": int((off <= math.log(1.0 + p / 100.0)).sum()) for p in (5, 10)}
         record |= {f"SB better, {metric.upper()}": int(better[metric]) for metric in ("aae", "aepe")}
         # A mean over fewer sequences than the others' would not be comparable.
@@ -123,3 +124,57 @@ def switch_sentences(table: pd.DataFrame) -> list[str]:
             sentence += f"; {row['set to']} together lead to {row['distance']:.3f}"
         sentences.append(sentence + ".")
     return sentences
+
+
+#: Method, name, marker, and its face: an open one around the other shows both where they agree.
+_DOTS = (("tvl1", "TV-L1", "o", None), ("tvl1_sb", "TV-L1-SB", "s", "none"))
+
+
+_LINE = 0.5  # half the height of a line of text, in rows
+
+
+def switch_dots(table: pd.DataFrame, title: str) -> Figure:
+    """Draw the distance to Table 2 and the mean AEPE for each setting of the switches.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        From `fracbench.studies.protocols.switch_table`.
+    title : str
+        Heading.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        A bar for the joint distance with a dot for each method; beside it the AEPE on a logarithmic axis.
+    """
+    from fracbench.figures.style import PALETTE, house_style, new_figure, plain_ticks
+
+    places, labels, place = [], [], 0.0
+    for i, (protocol, switch, setting) in enumerate(table[["protocol", "switch", "set to"]].to_numpy()):
+        labels.append(setting.replace(", ", "\n") if switch else f"protocol {protocol}")
+        half = _LINE * max(labels[-1].count("\n") - 1, 0)  # of what a tall label needs above and below it
+        place += half + (1.7 if i and not switch else 1.0)
+        places.append(-place)
+        place += half
+    with house_style():
+        fig = new_figure(0.36 * place + 1.6)
+        fig.suptitle(title)
+        left, right = fig.subplots(1, 2, sharey=True)
+        left.barh(places, table["distance"], height=0.55, color="#D9D9D9", label="both methods")
+        for color, (method, name, marker, face) in zip(PALETTE, _DOTS, strict=False):
+            look: dict[str, Any] = {"color": color, "marker": marker, "linestyle": "none", "label": name}
+            look |= {"markerfacecolor": face or color, "markersize": 5 if face is None else 8}
+            left.plot(table[f"distance {method}"], places, **look)
+            right.plot(table[f"AEPE {method}"], places, **look)
+        if table["distance"].isna().all():
+            left.text(0.5, 0.5, "nothing printed to compare with", transform=left.transAxes, ha="center")
+        left.set(xlabel="distance to the printed Table 2\n(RMS of ln(ours / printed))", yticks=places)
+        left.set_yticklabels(labels)
+        right.set(xlabel="mean AEPE [px]", xscale="log")
+        plain_ticks(right.xaxis)
+        for ax in (left, right):
+            ax.grid(axis="y", visible=False)
+        left.set_xlim(left=0.0)
+        fig.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return fig

@@ -14,9 +14,11 @@ from fracbench.figures import style
 from fracbench.harness.config.experiment import Experiment, load_experiment
 from fracbench.harness.run.plan import make_plan, plan_experiment
 from fracbench.harness.run.tidy import tidy
-from fracbench.studies import registry as artefacts
 from fracbench.studies import tables
-from fracbench.studies.registry import best_values, file_stem, render, require_renderer, split_varying
+from fracbench.studies.base import best_values, file_stem
+from fracbench.studies.paper import table2
+from fracbench.studies.registry import render, require_renderer
+from fracbench.studies.sweep import split_varying
 
 FLAT = "sequence=synthetic_flat"
 
@@ -319,7 +321,7 @@ def fails(*_, **__):
 def test_a_sweep_that_cannot_be_drawn_leaves_no_file(tmp_path, fake_rows, monkeypatch, where):
     module, name = where.split(".")
     made = plan("alpha=0,1", FLAT)
-    monkeypatch.setattr({"figures": figures, "style": style, "tables": artefacts.tables}[module], name, fails)
+    monkeypatch.setattr({"figures": figures, "style": style, "tables": tables}[module], name, fails)
     if module == "tables":
         monkeypatch.setattr(style, "save_figure", lambda figure, stem: [])
     with pytest.raises(RuntimeError, match="no ink"):
@@ -331,7 +333,7 @@ def test_a_sweep_that_cannot_be_drawn_leaves_no_file(tmp_path, fake_rows, monkey
 def test_a_table_that_cannot_be_laid_out_leaves_no_file(tmp_path, fake_rows, monkeypatch, name):
     experiment = load_experiment("table2")
     made = plan_experiment(experiment.grids, ["dataset=synthetic"])
-    monkeypatch.setattr(tables, name, fails)
+    monkeypatch.setattr(table2 if name == "summary" else tables, name, fails)
     with pytest.raises(RuntimeError, match="no ink"):
         render(experiment, made, fake_rows(made), tmp_path)
     assert files(tmp_path) == []

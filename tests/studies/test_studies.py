@@ -15,7 +15,7 @@ from fracbench.harness.config.experiment import load_experiment
 from fracbench.harness.config.paths import asset
 from fracbench.harness.run.plan import plan_experiment
 from fracbench.studies import registry as artefacts
-from fracbench.studies.protocols import protocol_study, switch_sentences, switch_table
+from fracbench.studies.protocols import protocol_study, switch_dots, switch_sentences, switch_table
 from fracbench.studies.solvers.solver_study import (
     printed_alphas,
     solver_sentences,
@@ -23,7 +23,7 @@ from fracbench.studies.solvers.solver_study import (
     solver_summary,
     spectra_table,
 )
-from fracbench.studies.solvers.solver_study_figure import solver_panels, switch_dots
+from fracbench.studies.solvers.solver_study_figure import solver_panels
 from fracbench.studies.solvers.spectral_radius import jacobi_limit
 
 METRICS = ["aae", "aepe", "sdae"]

@@ -14,18 +14,8 @@ from fracbench.data.files import ensure_folder, write_text
 from fracbench.errors import InputError
 from fracbench.harness.run.plan import make_plan
 from fracbench.harness.run.tidy import tidy
-from fracbench.studies.tables import (
-    CONVENTIONS,
-    distance,
-    footnote,
-    rounded,
-    summary,
-    to_latex,
-    to_markdown,
-    versus_published,
-    wide,
-    write_table,
-)
+from fracbench.studies.paper.table2 import distance, summary, versus_published, wide
+from fracbench.studies.tables import CONVENTIONS, footnote, rounded, to_latex, to_markdown, write_table
 
 SEQUENCES = ("grove2", "rubberwhale", "grove3", "hydrangea", "urban2", "dimetrodon", "urban3", "venus")
 METRICS = ("aae", "aepe", "sdae")

@@ -30,8 +30,8 @@ from fracbench.report.claims.judging import (
     two_over_theta,
     weaker,
 )
-from fracbench.studies import tables as report_tables
 from fracbench.studies.base import FLAT
+from fracbench.studies.paper.table2 import distance, versus_published
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -65,13 +65,13 @@ def numbers_met(tables: Tables, setting: str) -> Judgement:
 
     table = tables.points("table2", METRICS, protocol=setting)
     published = pd.read_csv(asset("results/published/table2.csv"))
-    ratio = report_tables.versus_published(table, published)["ratio"]
+    ratio = versus_published(table, published)["ratio"]
     if len(ratio) < published.size - 2 * len(published) or ratio.isna().any():
         raise UnjudgeableError("table2 does not have all the numbers that are printed")
     within = {p: int((np.abs(np.log(ratio)) <= np.log(1.0 + p / 100.0)).sum()) for p in (5, 10)}
     evidence = (
         f"{within[5]} of {len(ratio)} numbers are met within 5 %, {within[10]} within 10 %; RMS of "
-        f"ln(ours / printed) {report_tables.distance(ratio):.3f}, ours / printed {span(ratio.to_numpy())}."
+        f"ln(ours / printed) {distance(ratio):.3f}, ours / printed {span(ratio.to_numpy())}."
     )
     return grade(within[5] == len(ratio), 2 * within[10] >= len(ratio)), evidence
 

@@ -78,7 +78,7 @@ def _regions() -> Table:
 
 
 def _table1() -> Details:
-    from fracbench.studies.paper.figures import parameter_table
+    from fracbench.studies.paper.table1 import parameter_table
 
     shown = parameter_table().drop(columns="symbol")
     rows = [[Cell(str(value)) for value in record] for record in shown.itertuples(index=False)]

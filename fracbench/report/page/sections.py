@@ -15,7 +15,7 @@ from fracbench.report.page.elements import Block, Cell, Column, Heading, Section
 from fracbench.report.page.exhibits import document, figures_of, state
 from fracbench.report.page.gallery import sequence_name
 from fracbench.report.sources import PROTOCOLS, Sources
-from fracbench.studies import tables
+from fracbench.studies.paper.table2 import versus_published
 from fracbench.studies.protocols import switch_sentences, switch_table
 from fracbench.studies.solvers.solver_study import SOLVERS, printed_alphas, solver_sentences, solver_summary
 
@@ -106,7 +106,7 @@ def table2(sources: Sources) -> Section:
     source = sources.get("table2")
     blocks = state(source, sources, "table2")
     if source is not None and source.rows:
-        both = tables.versus_published(source.table, published())
+        both = versus_published(source.table, published())
         names = list(both["protocol"].unique())
         parts = source.table.assign(part=source.table["protocol"])
         blocks.append(_overview(parts, dict.fromkeys(names, ()), "protocol"))

@@ -1,4 +1,4 @@
-"""Figures of the two studies: tables in, matplotlib figures out."""
+"""The figure of the solver study: spectral radii, sweeps needed, and the errors of whole runs."""
 
 from __future__ import annotations
 
@@ -13,9 +13,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Method, name, marker, and its face: an open one around the other shows both where they agree.
-_DOTS = (("tvl1", "TV-L1", "o", None), ("tvl1_sb", "TV-L1-SB", "s", "none"))
-_LINE = 0.5  # half the height of a line of text, in rows
 #: Colour, marker and name of the solvers.
 _LINES = {
     "jacobi": (PALETTE[1], "o", "Jacobi (printed)"),
@@ -24,51 +21,6 @@ _LINES = {
 }
 _FAMILY_MARKERS = ("o", "s", "D", "^", "v", "P")
 _LIMIT: dict[str, Any] = {"color": "black", "linewidth": 1.0, "linestyle": ":"}
-
-
-def switch_dots(table: pd.DataFrame, title: str) -> Figure:
-    """Draw the distance to Table 2 and the mean AEPE for each setting of the switches.
-
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        From `fracbench.studies.protocols.switch_table`.
-    title : str
-        Heading.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        A bar for the joint distance with a dot for each method; beside it the AEPE on a logarithmic axis.
-    """
-    places, labels, place = [], [], 0.0
-    for i, (protocol, switch, setting) in enumerate(table[["protocol", "switch", "set to"]].to_numpy()):
-        labels.append(setting.replace(", ", "\n") if switch else f"protocol {protocol}")
-        half = _LINE * max(labels[-1].count("\n") - 1, 0)  # of what a tall label needs above and below it
-        place += half + (1.7 if i and not switch else 1.0)
-        places.append(-place)
-        place += half
-    with house_style():
-        fig = new_figure(0.36 * place + 1.6)
-        fig.suptitle(title)
-        left, right = fig.subplots(1, 2, sharey=True)
-        left.barh(places, table["distance"], height=0.55, color="#D9D9D9", label="both methods")
-        for color, (method, name, marker, face) in zip(PALETTE, _DOTS, strict=False):
-            look: dict[str, Any] = {"color": color, "marker": marker, "linestyle": "none", "label": name}
-            look |= {"markerfacecolor": face or color, "markersize": 5 if face is None else 8}
-            left.plot(table[f"distance {method}"], places, **look)
-            right.plot(table[f"AEPE {method}"], places, **look)
-        if table["distance"].isna().all():
-            left.text(0.5, 0.5, "nothing printed to compare with", transform=left.transAxes, ha="center")
-        left.set(xlabel="distance to the printed Table 2\n(RMS of ln(ours / printed))", yticks=places)
-        left.set_yticklabels(labels)
-        right.set(xlabel="mean AEPE [px]", xscale="log")
-        plain_ticks(right.xaxis)
-        for ax in (left, right):
-            ax.grid(axis="y", visible=False)
-        left.set_xlim(left=0.0)
-        fig.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=3)
-    return fig
 
 
 def solver_panels(spectra: pd.DataFrame, runs: pd.DataFrame, summary: pd.DataFrame, title: str) -> Figure:

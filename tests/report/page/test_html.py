@@ -38,7 +38,7 @@ from fracbench.report.page.elements import (
     render_page,
 )
 from fracbench.report.sources import Sources
-from fracbench.studies.tables import versus_published
+from fracbench.studies.paper.table2 import versus_published
 
 VOID = {"meta", "img", "br", "hr", "input", "link", "col", "wbr"}
 SETTINGS = ("dataset=synthetic", "parallel.jobs=1")

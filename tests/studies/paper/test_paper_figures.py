@@ -18,7 +18,7 @@ from fracbench.harness.config.experiment import Experiment, load_experiment
 from fracbench.harness.run import plan as plan_module
 from fracbench.harness.run.plan import plan_experiment
 from fracbench.model.params import FlowParams
-from fracbench.studies.paper.figures import parameter_table
+from fracbench.studies.paper.table1 import parameter_table
 from fracbench.studies.registry import render
 
 SCENES = ["dataset=synthetic"]

@@ -1,0 +1,81 @@
+"""A sweep of one's own: the tidy table, the best values, and a plot over one or two swept numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fracbench.data.files import ensure_folder
+from fracbench.harness.config.experiment import Experiment
+from fracbench.harness.run.plan import Plan
+from fracbench.harness.run.store import Row
+from fracbench.harness.run.tidy import METRICS, tidy
+from fracbench.studies import tables
+from fracbench.studies.base import Artefact, best_values, file_stem
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def sweep(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
+    """Write the tidy table of any grid, and a plot where it has one; see `fracbench.studies.base.Renderer`."""
+    table = tidy(plan, rows)
+    stem = file_stem(experiment.name, plan, ensure_folder(results / "sweeps"))
+    artefact = Artefact()
+    names, numbers = split_varying(table, plan)
+    done = table[table["status"] == "done"]
+    if numbers and len(done):
+        best = best_values(done, names, numbers)
+        artefact.views.append((f"Best {', '.join(numbers)} (smaller errors are better)", best))
+    else:
+        shown = table[[*names, *numbers, *METRICS, "status"]]
+        artefact.views.append((experiment.title, tables.rounded(shown)))
+    figure = _sweep_figure(experiment.title, table, names, numbers)
+    if figure is None:
+        artefact.lines.append("no plot: it takes one or two swept numbers, e.g. alpha=0:2:0.1")
+    else:
+        from fracbench.figures.style import save_figure
+
+        artefact.files += save_figure(figure, stem)
+        if table[numbers].isna().any(axis=None):
+            artefact.lines.append(f"not drawn: points that do not depend on {' and '.join(numbers)}")
+    artefact.files.insert(0, tables.write_table(table, stem))
+    return artefact
+
+
+def split_varying(table: pd.DataFrame, plan: Plan) -> tuple[list[str], list[str]]:
+    """Return the varying keys of a sweep that are names, and those that are numbers."""
+    keys = [key.removeprefix("params.") for key in plan.varying]
+    keys = ["sequence" if key == "region" and not table["region"].any() else key for key in keys]
+    keys = [key for key in keys if key in table.columns]
+    numeric = [key for key in keys if table[key].dtype.kind in "if"]
+    return [key for key in keys if key not in numeric], numeric
+
+
+def _sweep_figure(title: str, table: pd.DataFrame, names: list[str], numbers: list[str]) -> Any:
+    from fracbench.figures.curves import alpha_curves, heat_map
+
+    # A point has no place on an axis that its method does not depend on, and one place only on the others.
+    table = table.dropna(subset=numbers).drop_duplicates([*names, *numbers, "key"])
+    if not table["aepe"].notna().any():
+        return None
+    if len(numbers) == 1:
+        hue = None
+        if names:
+            hue = " / ".join(names)
+            table = table.assign(**{hue: table[names].astype(str).agg(", ".join, axis=1)})
+        note = "where the operator is the identity" if numbers == ["alpha"] else ""
+        return alpha_curves(
+            table, x=numbers[0], hue=hue, title=title, logx=_is_logarithmic(table[numbers[0]]), zero_note=note
+        )
+    if len(numbers) == 2 and not names:
+        return heat_map(table, x=numbers[0], y=numbers[1], title=title)
+    return None
+
+
+def _is_logarithmic(values: pd.Series) -> bool:
+    grid = np.unique(values.to_numpy(np.float64))
+    return bool(grid.size > 2 and grid[0] > 0 and np.ptp(np.diff(np.log(grid))) < 0.1 * np.ptp(np.diff(grid)))
