@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fracbench.model.kernels.arrays import Array
 from fracbench.model.kernels.jit import jit
-from fracbench.model.kernels.simd import LANES, load, store
+from fracbench.model.kernels.simd import AVAILABLE, LANES, load, store
 
 
 class Linearization(NamedTuple):
@@ -141,11 +141,17 @@ def linearize(
                 gradient[1, i, j] = 0.0
                 continue
             r = top[j]
-            for offset in (0, 12 - LANES):
-                c = 3 * (left[j] - 1) + offset
-                upper = wy[0, j] * load(samples1, r - 1, c) + wy[1, j] * load(samples1, r, c)
-                lower = wy[2, j] * load(samples1, r + 1, c) + wy[3, j] * load(samples1, r + 2, c)
-                store(row, 0, offset, upper + lower)
+            if AVAILABLE:
+                for offset in (0, 12 - LANES):
+                    c = 3 * (left[j] - 1) + offset
+                    upper = wy[0, j] * load(samples1, r - 1, c) + wy[1, j] * load(samples1, r, c)
+                    lower = wy[2, j] * load(samples1, r + 1, c) + wy[3, j] * load(samples1, r + 2, c)
+                    store(row, 0, offset, upper + lower)
+            else:
+                for k in range(12):
+                    c = 3 * (left[j] - 1) + k
+                    upper = wy[0, j] * samples1[r - 1, c] + wy[1, j] * samples1[r, c]
+                    row[0, k] = upper + wy[2, j] * samples1[r + 1, c] + wy[3, j] * samples1[r + 2, c]
             w0, w1, w2, w3 = wx[0, j], wx[1, j], wx[2, j], wx[3, j]
             value = w0 * row[0, 0] + w1 * row[0, 3] + w2 * row[0, 6] + w3 * row[0, 9]
             gx = w0 * row[0, 1] + w1 * row[0, 4] + w2 * row[0, 7] + w3 * row[0, 10]

@@ -10,20 +10,25 @@ from typing import Any, TypeVar
 import numba
 
 import fracbench
+from fracbench.model.kernels.cache_stamp import add_to_stamp
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 # Sums may be reordered so that loops vectorise, but NaN and infinity keep their meaning: a diverging
 # run has to be seen, not optimised away.
-_FASTMATH = {"reassoc", "contract", "arcp", "nsz"}
+_OPTIONS: dict[str, Any] = {
+    "nogil": True,
+    "error_model": "numpy",
+    "fastmath": {"reassoc", "contract", "arcp", "nsz"},
+}
 
-#: Of all files whose functions a compiled loop may call.
+# All files whose functions a compiled loop may call: a cached loop is valid as long as none has changed.
 _MODEL = Path(fracbench.__file__).parent / "model"
-_SOURCES = hashlib.sha256(b"".join(path.read_bytes() for path in sorted(_MODEL.rglob("*.py"))))
+_DIGEST = hashlib.sha256(b"".join(path.read_bytes() for path in sorted(_MODEL.rglob("*.py")))).hexdigest()
 
 
 def jit(function: F) -> F:
-    """Compile `function` (cached on disk, GIL released, single-threaded).
+    """Compile `function` (GIL released, single-threaded; cached on disk where that is possible and safe).
 
     Parameters
     ----------
@@ -35,10 +40,10 @@ def jit(function: F) -> F:
     callable
         The compiled function; `function` itself under ``NUMBA_DISABLE_JIT=1``.
     """
-    compiled: F = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=_FASTMATH)(function)  # type: ignore[assignment]
-    # Numba takes a cached function for valid as long as its own file has not changed, but the functions that it
-    # calls are compiled into it, and some stand in other files.
-    cache = getattr(getattr(compiled, "_cache", None), "_cache_file", None)
-    if cache is not None:
-        cache._source_stamp = cache._source_stamp, _SOURCES.hexdigest()
+    try:
+        compiled = numba.njit(cache=True, **_OPTIONS)(function)
+    except RuntimeError:  # numba finds no folder for its cache that can be written
+        compiled = None
+    if compiled is None or not add_to_stamp(compiled, _DIGEST):  # no cache, rather than code that may be stale
+        compiled = numba.njit(**_OPTIONS)(function)
     return compiled

@@ -10,6 +10,7 @@ import numpy as np
 
 from fracbench.errors import InputError
 from fracbench.model.kernels.arrays import Array, Float64Array
+from fracbench.model.kernels.simd import AVAILABLE
 from fracbench.model.operators.base import System
 from fracbench.model.operators.reflect import CosineGradient, ReflectGradient
 
@@ -68,6 +69,9 @@ class MappedGradient(CosineGradient):
         return ly, lx
 
     def differentiate(self, u: Array, d: Array) -> None:
+        if not AVAILABLE:
+            super().differentiate(u, d)
+            return
         self.transform(u, d)
         self._spread(d)
 
@@ -77,6 +81,9 @@ class MappedGradient(CosineGradient):
             order.spread(d[0], part)
 
     def solve(self, v: Array, w: Array, theta: float, mu: float, system: System, u: Array) -> None:
+        if not AVAILABLE:
+            super().solve(v, w, theta, mu, system, u)
+            return
         for k, (order, part) in enumerate(zip(self._orders, self._of_orders(w), strict=True)):
             order.collect(v, part, math.inf if k else theta, mu)
             if k:

@@ -7,6 +7,7 @@ import numpy as np
 from fracbench.model.kernels.arrays import Array
 from fracbench.model.kernels.cosine import cosine, cosine_back
 from fracbench.model.kernels.forward_rows import column_pivots, differences, right_hand_side, solve_columns
+from fracbench.model.kernels.simd import AVAILABLE
 from fracbench.model.kernels.threads import share
 from fracbench.model.operators.base import System
 from fracbench.model.operators.reflect import CosineGradient
@@ -37,6 +38,9 @@ class NaturalGradient(CosineGradient):
         differences(u, d)
 
     def solve(self, v: Array, w: Array, theta: float, mu: float, system: System, u: Array) -> None:
+        if not AVAILABLE:
+            super().solve(v, w, theta, mu, system, u)
+            return
         height, width = self.shape
         (inverse,) = system
         right_hand_side(v, w, theta, mu, u)
@@ -48,5 +52,7 @@ class NaturalGradient(CosineGradient):
 
     def factor(self, theta: float, mu: float) -> System:
         """Return the pivots of the columns' tridiagonal systems that the DCT-II along x leaves."""
+        if not AVAILABLE:
+            return super().factor(theta, mu)
         _, lx = self.eigenvalues()
         return (column_pivots(1.0 / theta + mu * lx, mu, self.shape[0], self.dtype),)

@@ -14,6 +14,7 @@ from fracbench.model.kernels.exponential_sum import ExponentialSum, convolve, ex
 from fracbench.model.kernels.jit import jit
 from fracbench.model.kernels.line_elimination import LineGains, line_gains, solve_lines
 from fracbench.model.kernels.pointwise import divide_by_sum
+from fracbench.model.kernels.simd import AVAILABLE
 from fracbench.model.kernels.threads import share
 from fracbench.model.operators.base import GradientOperator, System
 from fracbench.model.operators.forward import NaturalGradient
@@ -92,7 +93,7 @@ class LeftDerivative:
     """
 
     def __init__(self, alpha: float, n: int, pad: int, dtype: np.dtype | type) -> None:
-        self.memory = None if pad else _memory(alpha, n, np.dtype(dtype))
+        self.memory = _memory(alpha, n, np.dtype(dtype)) if AVAILABLE and not pad else None
         self.matrices: tuple[Array, ...] = ()
         if self.memory is None:
             matrix = left_derivative_matrix(alpha, n, pad).astype(dtype)

@@ -7,11 +7,14 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from numba import config
 
 import fracbench
+from fracbench.model.kernels import jit as jit_module
+from fracbench.model.kernels.cache_stamp import add_to_stamp
 
 #: `gauss_seidel_natural` calls `right_hand_side_row`, which stands in another file.
 SWEEP = """
@@ -48,3 +51,39 @@ def test_a_cached_loop_is_compiled_anew_where_a_called_one_has_changed(tmp_path)
     assert text.count("direct * v[i, j]") == 1
     called.write_text(text.replace("direct * v[i, j]", "3.0 * direct * v[i, j]"), encoding="utf-8")
     assert sweep() == ["3.0", "0"]
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
+def test_nothing_is_cached_where_numba_has_no_stamp(monkeypatch):
+    assert not add_to_stamp(SimpleNamespace(), "digest")
+    assert not add_to_stamp(SimpleNamespace(_cache=SimpleNamespace(_cache_file=SimpleNamespace())), "digest")
+
+    def twice(x: float) -> float:
+        return 2.0 * x
+
+    assert jit_module.jit(twice).stats.cache_path is not None
+    monkeypatch.setattr(jit_module, "add_to_stamp", lambda compiled, digest: False)
+    plain = jit_module.jit(twice)
+    assert plain.stats.cache_path is None
+    assert plain(1.5) == 3.0
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
+def test_loops_run_where_no_cache_can_be_written(tmp_path):
+    (tmp_path / "__pycache__").write_text("a file", encoding="utf-8")  # beside the module...
+    loop = "from fracbench.model.kernels.jit import jit\n@jit\ndef twice(x):\n    return 2.0 * x\n"
+    (tmp_path / "loop.py").write_text(loop, encoding="utf-8")
+    below = str(tmp_path / "loop.py" / "cache")  # ...and below a file no folder can be made, not even by root
+    homes = ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME", "HOME", "LOCALAPPDATA")
+    done = subprocess.run(
+        [sys.executable, "-B", "-c", "from loop import twice; print(twice(1.5), twice.stats.cache_path)"],
+        env={
+            **os.environ,
+            **dict.fromkeys(homes, below),
+            "PYTHONPATH": os.pathsep.join([str(tmp_path), str(Path(fracbench.__file__).parent.parent)]),
+        },
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.split() == ["3.0", "None"]
