@@ -21,8 +21,8 @@ from fracbench.report.sources import COMMITTED, SUFFIXES, Sources
 FOLDERS = ("tables", "figures")
 #: The README's pictures that belong to no experiment, and the commands that write them.
 PICTURES = {
-    "readme_alpha.png": ("sweep", "alpha=0:2:0.1", "region=grove2_A", "dataset=middlebury"),
-    "readme_flow.png": ("run", "sequence=rubberwhale", "protocol=recommended", "dataset=middlebury"),
+    "readme_alpha.png": ("sweep", "alpha=0:2:0.1", "region=grove2_A"),
+    "readme_flow.png": ("run", "sequence=rubberwhale", "protocol=recommended"),
 }
 
 
@@ -70,7 +70,8 @@ def problems(results: Path, committed: Path, sources: Sources) -> list[str]:
     files = computed(results)
     here = {path.relative_to(committed) for folder in FOLDERS for path in (committed / folder).glob("*")}
     absent = sorted(path for path in here - {*files} if path.name not in PICTURES)
-    found += [f"{results / path}: is missing; run make paper and make beyond" for path in absent]
+    if absent:
+        found.append(f"{results}: lacks {', '.join(map(str, absent))}; run make paper and make beyond")
     for path in files:
         if path.suffix == ".md" and " with local changes" in (results / path).read_text(encoding="utf-8"):
             found.append(f"{results / path}: was computed from a commit with local changes")
@@ -107,9 +108,10 @@ def main() -> int:
     if found:
         print("\n".join(["nothing is published:", *found]), file=sys.stderr)
         return 2
+    drawn = {picture: draw(picture) for picture in PICTURES}  # first: a command that fails leaves the copies alone
     changed = publish(results, committed)
-    for picture in PICTURES:
-        shutil.copyfile(draw(picture), committed / "figures" / picture)
+    for picture, path in drawn.items():
+        shutil.copyfile(path, committed / "figures" / picture)
     answer.renew(root / "README.md", sources)
     print(f"renewed {changed} files and {len(PICTURES)} pictures in {COMMITTED}, and the answer in README.md")
     return 0

@@ -129,5 +129,5 @@ def test_files_that_cannot_be_published(folders):
     (results / "figures/fig2_reference.png").unlink()
     (results / "tables/table2.md").write_text("computed with numpy 2.0, commit abc with local changes.")
     missing, dirty = publish.problems(results, committed, stored())
-    assert "fig2_reference.png: is missing; run make paper and make beyond" in missing
+    assert "lacks figures/fig2_reference.png; run make paper and make beyond" in missing
     assert "table2.md: was computed from a commit with local changes" in dirty
