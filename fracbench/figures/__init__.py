@@ -1,4 +1,4 @@
-"""How results look: one style, curves, panels, pictures of flow, and files that are drawn only when they change.
+"""Figures: one style, curves, panels, pictures of flow, and files that are drawn only when they change.
 
 Imports `fracbench.errors` and `fracbench.data.files`.
 """

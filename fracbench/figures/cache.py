@@ -24,7 +24,7 @@ _ROOMS = ("figures", "studies", "report", "model")
 def draw(stem: Path, make: Callable[..., Figure], *shown: Any, **looks: Any) -> list[Path]:
     """Write the figure ``make(*shown, **looks)`` as png and pdf, unless the files that are there show it.
 
-    What they show is kept beside them in a hidden file: a digest of the arguments, of the drawing code and of
+    A hidden file beside them tells whether they show it: a digest of the arguments, of the drawing code and of
     matplotlib's version, and those of both files. Delete it, or a picture, to have the figure drawn again.
 
     Parameters
@@ -59,7 +59,7 @@ def keep(files: Sequence[Path], depends_on: Any, write: Callable[[], Any]) -> li
     Parameters
     ----------
     files : sequence of Path
-        What `write` writes; the record is named after the first.
+        The files that `write` makes; the record is named after the first.
     depends_on : object
         All that their content depends on, besides code and matplotlib: see `draw`.
     write : callable
@@ -87,7 +87,7 @@ def _state(wanted: str, files: Sequence[Path]) -> str:
 
 @lru_cache(maxsize=1)
 def _code() -> str:
-    """Return a digest of all that draws: the code of `_ROOMS`, and matplotlib's version."""
+    """Return a digest of the drawing code: the code of `_ROOMS`, and matplotlib's version."""
     sources = sorted(path for room in _ROOMS for path in (_PACKAGE / room).rglob("*.py"))
     content = b"".join(path.read_bytes() for path in sources)
     return f"{hashlib.sha256(content).hexdigest()} {version('matplotlib')} {version('numpy')}"

@@ -81,7 +81,7 @@ def alpha_curves(
     band : pandas.DataFrame, optional
         A range behind the curves: columns `x`, ``aae_low``, ``aae_high``, ``aepe_low``, ``aepe_high``.
     band_label : str, optional
-        What the range is, for the legend.
+        Name of the range in the legend.
     logx : bool, optional
         Logarithmic axis.
     zero_note : str, optional

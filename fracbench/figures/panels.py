@@ -58,7 +58,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Panel:
-    """What is drawn of one region and one error.
+    """The panel of one region and one error.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class Panel:
     band : pandas.DataFrame or None
         A range behind them: the swept key, and ``aae_low``, ``aae_high``, ``aepe_low``, ``aepe_high``.
     band_label : str
-        What the range is, for the legend.
+        Name of the range in the legend.
     published : float or None
         Where the paper finds the minimum.
     """

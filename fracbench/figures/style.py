@@ -27,7 +27,7 @@ DPI = 160
 """Resolution of png files: `WIDTH` at this resolution is 1280 pixels."""
 
 METRICS: Mapping[str, str] = {"aae": "AAE [rad]", "aepe": "AEPE [px]"}
-"""The errors every figure shows, one panel each, and what their axes are called."""
+"""The errors every figure shows, one panel each, and the labels of their axes."""
 
 KEYS: Mapping[str, tuple[str, str]] = {
     "alpha": (r"$\alpha$", r"fractional order $\alpha$"),
@@ -119,7 +119,7 @@ def house_style() -> Iterator[None]:
 
 
 def symbol(key: str) -> str:
-    """Return how text names a key: the paper's letter where there is one."""
+    """Return the name of a key in texts: the paper's letter where there is one."""
     return KEYS[key][0] if key in KEYS else key
 
 
@@ -290,7 +290,7 @@ def render(fig: Figure, fmt: str) -> bytes:
     Parameters
     ----------
     fig : matplotlib.figure.Figure
-        What to draw.
+        The figure.
     fmt : str
         ``"png"`` or ``"pdf"``.
 
@@ -331,7 +331,7 @@ def save_figure(fig: Figure, stem: Path) -> list[Path]:
     Parameters
     ----------
     fig : matplotlib.figure.Figure
-        What to write.
+        The figure.
     stem : pathlib.Path
         Path without suffix; dots in it are kept (``alpha1.2`` gives ``alpha1.2.png``).
 

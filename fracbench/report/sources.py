@@ -1,4 +1,4 @@
-"""What the report is made from: the stored rows of every experiment, planned and read once, never computed."""
+"""The sources of the report: the stored rows of every experiment, planned and read once, never computed."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 
     from fracbench.report.claims.claims import Judged
 
-#: What each protocol is, in a line.
+#: A description of each protocol, in a line.
 PROTOCOLS = {
     "reference": "the paper's model, computed correctly and to convergence",
     "published": "the run nearest to the printed Table 2: coarse flow halved on upsampling, few iterations",
     "as_printed": "Algorithms 1 and 2 to the letter: the flow to linearise about is never renewed",
     CONTEXT: "the model with reflecting boundary and 48 pixels of image around each region: not the paper's",
 }
-#: What the names of files end with, by data set and size; see `fracbench.studies.base.file_stem`.
+#: Endings of file names, by data set and size; see `fracbench.studies.base.file_stem`.
 SUFFIXES = ("", "_synthetic", "_small", "_synthetic_small")
 #: Copies of the tables and figures of the whole paper on Middlebury, renewed by `make publish`.
 COMMITTED = "results/committed"
@@ -45,13 +45,13 @@ class Source:
     Attributes
     ----------
     experiment : Experiment
-        What was asked for.
+        The experiment, as its file defines it.
     plan : Plan
         Its points.
     rows : mapping of str to Row
         Stored rows by key.
     command : str
-        What computes the missing ones.
+        The command that computes the missing ones.
     """
 
     experiment: Experiment
@@ -68,7 +68,7 @@ class Source:
 
     @property
     def suffix(self) -> str:
-        """What the names of its artefact's files end with."""
+        """The ending of its artefact's file names."""
         return SUFFIXES[self.plan.stand_in + 2 * self.plan.small]
 
     @property
@@ -106,7 +106,7 @@ class Sources:
     stand_in : bool
         Whether scenes take the place of Middlebury sequences.
     suffix : str
-        What the page's name ends with.
+        The ending of the page's name.
 
     Raises
     ------
@@ -137,7 +137,7 @@ class Sources:
         return self._found[name]
 
     def outline(self, name: str) -> Source | None:
-        """Return an experiment without points, for what is shown of its files; None if there is none."""
+        """Return an experiment without points, to show its files; None if there is none."""
         if name not in list_experiments():
             return None
         return Source(load_experiment(name), self._data, {}, self.command(name))

@@ -1,4 +1,4 @@
-"""The experiments of the paper and beyond: what each makes of its points, as tables, figures and sentences.
+"""The experiments of the paper and beyond: each turns its points into tables, figures and sentences.
 
 Imports `fracbench.harness`, `fracbench.figures` and what these may import.
 """

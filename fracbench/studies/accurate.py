@@ -1,4 +1,4 @@
-"""What each ingredient of the accurate preset is worth, and how its weights fare on sequences not seen."""
+"""The ablation of the accurate preset: the gain of each ingredient, and leave-one-out errors of its weights."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 #: Parts of the experiment: none of the ingredients, all of them, and the grid the preset is chosen from.
 PLAIN, ALL, CHOICE = "plain", "accurate", "choice"
-#: How the names of the other parts start, what was done there, and the part to compare with.
+#: Prefix of the other parts' names, the change made there, and the part to compare with.
 _CHANGES = {
     f"{PLAIN}/": ("added alone", PLAIN),
     f"{ALL}/": ("taken from the whole", ALL),
@@ -36,9 +36,9 @@ _LEGEND = (
     "AEPE for each sequence."
 )
 _CHOICE_LEGEND = (
-    f"Among the preset, the preset with an ingredient taken away or added, and the weights of `{CHOICE}`, for "
-    "each sequence the setting is chosen that has the least mean AEPE on the others, and is scored on it: its "
-    "true flow had no part in the choice. `all in`: the setting with the least mean over all."
+    f"Among the preset, the preset with an ingredient taken away or added, and the weights of `{CHOICE}`, the "
+    "setting with the least mean AEPE on the other sequences is scored on each sequence (leave-one-out): its true "
+    "flow does not influence the choice. `all in`: the setting with the least mean over all."
 )
 
 
@@ -147,7 +147,7 @@ def _short(ablation: pd.DataFrame) -> pd.DataFrame:
 
 
 def ablation_sentences(ablation: pd.DataFrame) -> list[str]:
-    """Say what each ingredient changes alone, and what the others lose without it or gain by it.
+    """State the change by each ingredient alone, by leaving it out, and by adding it.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What every renderer of an artefact shares: what it gives back, and where its files go."""
+"""The interface of renderers: their output, and the names of their files."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PRIVATE = "private"
 
 @dataclass
 class Artefact:
-    """What a renderer made.
+    """The output of a renderer.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ Renderer = Callable[[Experiment, Plan, Mapping[str, Row], Path], Artefact]
 
 
 def file_stem(name: str, plan: Plan, folder: Path) -> Path:
-    """Return where an artefact goes: its name tells scenes from Middlebury, and thinned grids from whole ones."""
+    """Return an artefact's path without suffix; its name marks synthetic scenes and thinned grids."""
     return folder / f"{name}{'_synthetic' if plan.stand_in else ''}{'_small' if plan.small else ''}"
 
 

@@ -1,4 +1,4 @@
-"""What an experiment's ``options`` may hold, by the artefact that reads them."""
+"""The options of experiments, by the artefact that reads them."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Family:
 
 @dataclass(frozen=True)
 class AlphaRegions:
-    """Of ``alpha_regions``: what the captions say, by region."""
+    """Of ``alpha_regions``: the captions' values, by region."""
 
     paper: Any = None  # checked where it is read, with the regions at hand
 
@@ -70,7 +70,7 @@ class SolverStudy:
 
 @dataclass(frozen=True)
 class Convergence:
-    """Of ``convergence``: what is solved, and where the solvers stop."""
+    """Of ``convergence``: the problem, and the limits of the solvers."""
 
     region: str | None = None
     alphas: list[float] | None = None
@@ -130,7 +130,7 @@ def require_options(experiment: Experiment) -> None:
 
 
 def all_options(experiment: Experiment) -> dict[str, Any]:
-    """Return the options of an artefact that can do without none.
+    """Return the options of an artefact that needs all of them.
 
     Parameters
     ----------

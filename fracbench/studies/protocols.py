@@ -1,4 +1,4 @@
-"""Why the printed Table 2 is as it is: the distance to it as the switches of the protocols are turned."""
+"""The protocol study: the distance to the printed Table 2 as the switches of the protocols are turned."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def switch_table(table: pd.DataFrame, published: pd.DataFrame, grids: Mapping[st
 
 
 def switch_sentences(table: pd.DataFrame) -> list[str]:
-    """Say which switch moves the distance most, and what those turned together do.
+    """Say which switch moves the distance most, and the effect of those turned together.
 
     Parameters
     ----------
@@ -153,7 +153,7 @@ def switch_dots(table: pd.DataFrame, title: str) -> Figure:
     places, labels, place = [], [], 0.0
     for i, (protocol, switch, setting) in enumerate(table[["protocol", "switch", "set to"]].to_numpy()):
         labels.append(setting.replace(", ", "\n") if switch else f"protocol {protocol}")
-        half = _LINE * max(labels[-1].count("\n") - 1, 0)  # of what a tall label needs above and below it
+        half = _LINE * max(labels[-1].count("\n") - 1, 0)  # the space of a tall label above and below its middle
         place += half + (1.7 if i and not switch else 1.0)
         places.append(-place)
         place += half

@@ -30,7 +30,7 @@ def render(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results:
     Parameters
     ----------
     experiment : Experiment
-        What is wanted.
+        The experiment.
     plan : Plan
         Its points.
     rows : mapping of str to Row
@@ -41,7 +41,7 @@ def render(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results:
     Returns
     -------
     Artefact
-        Files, and what to show on the terminal.
+        Files, and tables and sentences for the terminal.
 
     Raises
     ------

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def footnote(rows: Mapping[str, Row], protocols: Sequence[str]) -> list[str]:
-    """Return what a reader must know of a table: conventions, protocols, versions, commit.
+    """Return the footnote of a table: conventions, protocols, versions, commit.
 
     Parameters
     ----------

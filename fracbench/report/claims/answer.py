@@ -1,4 +1,4 @@
-"""The answer in short: one picture of the paper beside ours, and the block of the README that says what holds."""
+"""The answer in short: a picture of the paper's numbers beside ours, and the README's table of verdicts."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TITLE = "The paper beside a recomputation: best α on its regions, and the errors of its Table 2"
-#: Claims that the README shows, by id: what a reader of the paper takes home.
+#: Claims that the README shows, by id: the paper's main conclusions.
 HEADLINES = (
     "table2-numbers",
     "table2-aae",
@@ -162,7 +162,7 @@ def write_answer(sources: Sources) -> list[Path]:
 
 
 def answer_text(sources: Sources) -> str:
-    """Return what holds in Markdown: the claims counted by protocol, and the headlines one by one."""
+    """Return the answer in Markdown: the claims counted by protocol, then the main ones one by one."""
     judged = sources.judged
     settings = list(dict.fromkeys(verdict.protocol for item in judged for verdict in item.verdicts))
     counts = {

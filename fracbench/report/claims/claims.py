@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 
 __all__ = ["EXPERIMENTS", "VERDICTS", "Claim", "Judged", "Verdict", "evaluate", "load_claims", "render_claims"]
 
-#: What the rules look at.
+#: The experiments that the rules read.
 EXPERIMENTS = ("table2", "fig2", "fig3", "fig4", "fig6", "fig7", "regions_lambda_sb")
 _MODULES = (claim_rules, region_rules)  # imported for the rules they register
 _KEYS = {"id", "quote", "place", "test", "rule", "args"}
 _INTRODUCTION = (
-    "Each sentence of the paper that a computation can judge, and what became of it. Verdicts are computed by "
+    "Each sentence of the paper that a computation can judge, with its verdicts. Verdicts are computed by "
     "`fracbench claims` from stored points; a sentence about several cases holds in part if it does so in at "
     "least half of them, and cannot be judged where points are missing or failed. Protocols: conf/protocol and "
     "docs/protocol.md; under `published` and `as_printed` the fractional u-step is solved exactly, so that the "
@@ -51,7 +51,7 @@ class Claim:
     rule : str
         Name in `fracbench.report.claims.judging.RULES`.
     args : mapping
-        What the rule is told.
+        Arguments of the rule.
     """
 
     id: str
@@ -64,7 +64,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What became of a claim under one protocol (or variant): one of `VERDICTS`, and the numbers behind it."""
+    """The verdict on a claim under one protocol (or variant), one of `VERDICTS`, and the numbers behind it."""
 
     protocol: str
     verdict: str

@@ -1,7 +1,7 @@
 """The rules by which the paper's sentences are judged: tidy tables in, a verdict and its numbers out.
 
 A rule sees the tables through `Tables`, which raises `UnjudgeableError` where a point is missing or failed:
-what is not there never holds. A sentence about several cases (errors, regions, curves) holds if it does in
+a claim without points never holds. A sentence about several cases (errors, regions, curves) holds if it does in
 each, and in part if it does so, wholly or in part, in at least half of them.
 """
 
@@ -47,7 +47,7 @@ Rule = Callable[..., Judgement]
 
 
 class UnjudgeableError(Exception):
-    """The tables do not hold what a rule needs; the message says what."""
+    """The tables lack points that a rule needs; the message names them."""
 
 
 class Tables:

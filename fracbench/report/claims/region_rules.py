@@ -1,4 +1,4 @@
-"""The rules of the claims on Figures 6 and 7, the regions; `claims.judging` says what a rule is."""
+"""The rules of the claims on Figures 6 and 7, the regions; `fracbench.report.claims.judging` defines a rule."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def best_alpha(
 
 
 def _inside(curve: pd.DataFrame, low: float, high: float) -> np.ndarray[Any, Any]:
-    """Return which alphas count as `low` to `high`: of a single value, those nearest to it on the grid."""
+    """Return the alphas of the grid from `low` to `high`; for a single value, those nearest to it."""
     alphas = curve["alpha"].to_numpy()
     slack = np.diff(alphas).min() / 2.0 if low == high else 0.0
     inside: np.ndarray[Any, Any] = (alphas >= low - slack - 1e-9) & (alphas <= high + slack + 1e-9)
@@ -77,7 +77,7 @@ def _alpha_verdict(curve: pd.DataFrame, metric: str, low: float, high: float) ->
 
 
 def _over_boxes(tables: Tables, regions: Sequence[str], metrics: Sequence[str], low: float, high: float) -> str:
-    """Say over how many of the shifted boxes a sentence on the best alpha stands."""
+    """State on how many of the shifted boxes a claim on the best alpha holds."""
     verdicts: dict[str, list[str]] = {}
     try:
         for region in regions:
@@ -164,7 +164,7 @@ def better_than_one(tables: Tables, setting: str, *, regions: Sequence[str]) -> 
 
 @rule(*PROTOCOLS, CONTEXT)
 def gains_less(tables: Tables, setting: str, *, region: str, than: Sequence[str]) -> Judgement:
-    """Judge whether leaving alpha 1 gains less on one region than on each of the others."""
+    """Judge whether the gain over alpha 1 is smaller on one region than on each of the others."""
     verdicts, sentences = [], []
     for metric in ERRORS:
         gain = _gain(region_curve(tables, setting, region), metric)

@@ -1,4 +1,4 @@
-"""The rules of the claims on Table 2 and Figures 2 to 4; `fracbench.report.claims.judging` says what a rule is."""
+"""The rules of the claims on Table 2 and Figures 2 to 4; `fracbench.report.claims.judging` defines a rule."""
 
 from __future__ import annotations
 

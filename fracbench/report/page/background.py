@@ -1,4 +1,4 @@
-"""What the report says besides results: errata, what the paper leaves open, conventions, provenance."""
+"""The report's sections besides the results: errata, gaps of the paper, conventions, provenance."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ def errata() -> Section:
     return Section("errata", "Misprints", "Misprints and gaps of the paper", [Text(demoted(body, 1))])
 
 
-# -- what the paper leaves open --------------------------------------------------------------------
+# -- gaps of the paper -----------------------------------------------------------------------------
 
 _OPEN = (
-    "Some of what a computation needs is not in the paper. Where it says nothing, this is what we chose.\n\n"
+    "The paper does not give everything that a computation needs. These are our choices.\n\n"
     "- **TV-L1**, the method that the paper compares with: neither code nor parameters beyond Table 2 are given. "
     "Ours has Chambolle's dual step in place of split Bregman, and shares pyramid, warping, thresholding and "
     "stopping with the other methods, so that a difference between two columns is one of the regulariser.\n"
@@ -43,9 +43,12 @@ _OPEN = (
 
 
 def open_choices() -> Section:
-    """Return what the paper leaves open and what was chosen: parameters by protocol, regions."""
+    """Return the gaps of the paper and our choices: parameters by protocol, regions."""
     return Section(
-        "open", "Left open", "What the paper leaves open", [Text(_OPEN), _parameters(), _regions(), _table1()]
+        "open",
+        "Left open",
+        "Gaps of the paper and our choices",
+        [Text(_OPEN), _parameters(), _regions(), _table1()],
     )
 
 
@@ -83,7 +86,7 @@ def _table1() -> Details:
     shown = parameter_table().drop(columns="symbol")
     rows = [[Cell(str(value)) for value in record] for record in shown.itertuples(index=False)]
     table = Table("Parameters, with the paper's ranges and ours", [Column(name) for name in shown.columns], rows)
-    return Details("Every parameter: the paper's Table 1, and what it leaves out", [table])
+    return Details("Every parameter: the paper's Table 1, and those that it leaves out", [table])
 
 
 # -- conventions -----------------------------------------------------------------------------------
@@ -100,7 +103,7 @@ _CONVENTIONS = (
 
 
 def conventions() -> Section:
-    """Return units, averaging, and what words mean on the page."""
+    """Return units, averaging, and definitions of the page's words."""
     return Section("conventions", "Conventions", "Conventions", [Text(CONVENTIONS), Text(_CONVENTIONS)])
 
 

@@ -11,25 +11,25 @@ EXPERIMENTS = ("alpha_by_structure", "adaptive_alpha", "accurate")
 
 _LEAD = (
     "The paper ends with the wish to “detect a priori the type of structures the image presents and adjust alpha "
-    "accordingly”. What adapts here is the order of the gradient from pixel to pixel: the structure tensor of the "
-    "first frame alone sorts pixels as flat, edge, corner or texture, at each scale, and each class has its own "
-    "α; a true flow only scores. Whatever is chosen by errors is chosen on other sequences than it is scored on, "
-    "and what the truth may choose is called a bound. `make beyond` computes this section."
+    "accordingly”. Here the order of the gradient adapts from pixel to pixel: at each scale the structure tensor "
+    "of the first frame sorts pixels into flat, edge, corner and texture, and each class has its own α. Every "
+    "choice by errors is scored leave-one-out, on another sequence than those it is made on; a choice by the "
+    "true flow is an oracle bound. `make beyond` computes this section."
 )
 
 
 def beyond(sources: Sources) -> Section:
-    """Return what was found beyond the paper, or the commands for it; nothing is planned or computed.
+    """Return the results beyond the paper, or the commands for them; nothing is planned or computed.
 
     Parameters
     ----------
     sources : Sources
-        Where results are, and which form of them is shown.
+        The results folder, and the data set and size that are shown.
 
     Returns
     -------
     Section
-        For each experiment what its text says before its first table, its figures, and the tables folded.
+        For each experiment the text before its first table, its figures, and its tables, folded.
     """
     blocks: list[Block] = [Text(_LEAD)]
     for name in EXPERIMENTS:

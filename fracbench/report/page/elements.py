@@ -1,4 +1,4 @@
-"""What a page is made of: prose, tables, pictures; and the template that turns them into one HTML file."""
+"""The elements of a page: prose, tables, pictures; and the template that turns them into one HTML file."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Cell:
     Attributes
     ----------
     text : str
-        What it says.
+        The text.
     note : str
         Smaller text below.
     tone : str
@@ -34,7 +34,7 @@ class Cell:
     badge : bool
         Whether the text is a badge.
     sort : str
-        What the column is sorted by; the text if empty.
+        The sort key; the text if empty.
     """
 
     text: str
@@ -55,7 +55,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Text:
-    """Prose in Markdown; HTML in it is shown, not obeyed."""
+    """Prose in Markdown; HTML in it is shown as text."""
 
     kind: ClassVar[str] = "text"
     markdown: str
@@ -74,7 +74,7 @@ class Table:
     Attributes
     ----------
     caption : str
-        What it shows; names its box for screen readers, too.
+        The caption, which names its box for screen readers, too.
     columns : sequence of Column
         Headings.
     rows : sequence of sequence of Cell
@@ -113,7 +113,7 @@ class Picture:
     uri : str
         ``data:`` URI.
     alt : str
-        What it shows, for those who cannot see it.
+        Description for readers who cannot see it.
     caption : str
         Text below it, Markdown.
     size : (int, int)
@@ -157,7 +157,7 @@ class Missing:
 
 @dataclass(frozen=True)
 class Tally:
-    """How often each word was said, for several speakers: drawn as one bar each.
+    """How often each verdict was given, for several protocols: one bar each.
 
     Attributes
     ----------
@@ -219,7 +219,7 @@ def render_page(title: str, lead: str, facts: Sequence[tuple[str, str]], section
     title : str
         Heading of the page.
     lead : str
-        What it is, in Markdown.
+        The introduction, in Markdown.
     facts : sequence of (str, str)
         Names and values below the heading.
     sections : sequence of Section

@@ -32,7 +32,7 @@ def document(path: str, summary: str) -> list[Block]:
 
 
 def answer_picture(sources: Sources) -> list[Block]:
-    """Return the picture that sums the paper and ours up, if it has been drawn."""
+    """Return the picture of the paper's numbers beside ours, if it has been drawn."""
     path = sources.find(f"figures/answer{sources.suffix}.png")
     if path is None:
         return []
@@ -103,7 +103,7 @@ def figure_files(results: Path, source: Source) -> dict[str, Path]:
     Returns
     -------
     dict of str to Path
-        What follows the experiment's name in the file's, e.g. ``context``; ``""`` for the figure itself, which
+        By the part of the file's name after the experiment's, e.g. ``context``; ``""`` is the figure itself, which
         comes first, then those of the protocols.
     """
     name, ending = source.experiment.name, source.suffix
@@ -156,8 +156,8 @@ def pictures(sources: Sources) -> Section:
     """Return frames, flows and error maps of each sequence."""
     intro = (
         "Each sequence as the methods see it, the true flow, and three flows with Table 2's λ and θ; below each "
-        "flow, where it errs. Flows of a sequence share one scale of colours, a little wider than the true "
-        "motion is fast."
+        "flow, its end-point errors. The flows of a sequence share one scale of colours, which reaches a little "
+        "beyond the largest true motion."
     )
     blocks: list[Block] = [Text(intro)]
     absent = missing_flows(sources)
@@ -169,13 +169,13 @@ def pictures(sources: Sources) -> Section:
     for scene in shown:
         blocks.append(Heading(scene.name, f"pictures-{scene.name.replace(' ', '-')}"))
         blocks.append(gallery(scene, top))
-    return Section("pictures", "Flows", "Flows and where they err", blocks)
+    return Section("pictures", "Flows", "Flows and their errors", blocks)
 
 
 def state(source: Source | None, sources: Sources, name: str) -> list[Block]:
-    """Say what is missing or failed of an experiment; nothing if it is whole."""
+    """Name the missing and the failed points of an experiment; nothing if it is complete."""
     if source is None:
-        return [Missing(f"the experiment {name}, of which there is no file", sources.command(name))]
+        return [Missing(f"the experiment {name}, which has no file", sources.command(name))]
     blocks: list[Block] = []
     if source.n_missing:
         some = "all" if source.n_missing == source.n_points else str(source.n_missing)
@@ -183,6 +183,8 @@ def state(source: Source | None, sources: Sources, name: str) -> list[Block]:
     if source.unfinished:
         first = source.unfinished[0]
         blocks.append(
-            Text(f"{len(source.unfinished)} points of {name} did not end well; the first: {first.error}", "answer")
+            Text(
+                f"{len(source.unfinished)} points of {name} failed or diverged; the first: {first.error}", "answer"
+            )
         )
     return blocks

@@ -1,4 +1,4 @@
-"""The pictures of the report: for each sequence its frames, its true flow, our flows and where they err."""
+"""The pictures of the report: for each sequence its frames, its true flow, our flows and their errors."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _WHEEL = 96
 
 @dataclass(frozen=True)
 class Estimate:
-    """A flow that is shown: what made it, the flow, and its end-point error at each pixel."""
+    """A flow that is shown: its method, the flow, and its end-point error at each pixel."""
 
     title: str
     flow: NDArray[np.float32]
@@ -79,7 +79,7 @@ def scenes(sources: Sources) -> list[Scene]:
 
 
 def missing_flows(sources: Sources) -> list[tuple[Point, Path | None, Path]]:
-    """Return what `compute_flow` has to be called with before `scenes`: a tuple a flow."""
+    """Return the arguments of `compute_flow` for each flow that is missing, a tuple a flow."""
     source = sources.get("table2")
     if source is None:
         return []
@@ -94,7 +94,7 @@ def _cache(sources: Sources) -> Path:
 
 
 def _shown(plan: Plan, sources: Sources) -> list[tuple[str, list[tuple[str, Point]]]]:
-    """Return the points of each sequence: Table 2's under the reference, and what we would use."""
+    """Return the points of each sequence: Table 2's under the reference, and the recommended method's."""
     reference = [planned for planned in plan.points if planned.labels["protocol"] == "reference"]
     names = list(dict.fromkeys(planned.labels["sequence"] for planned in reference))
     names = names[:_SMALL] if sources.small else names
@@ -133,7 +133,7 @@ def _scene(name: str, entries: Sequence[tuple[str, Point]], folder: Path | None,
 
 
 def sequence_name(label: str) -> str:
-    """Return how a page names a sequence: as the data set spells it; scenes by their label."""
+    """Return the name of a sequence on the page: as the data set spells it; scenes by their label."""
     names = {name.lower(): name for name in list_sequences("middlebury")}
     return names.get(label, label.replace("synthetic_", "scene "))
 
@@ -155,7 +155,7 @@ def gallery(scene: Scene, top: float) -> Gallery:
     Parameters
     ----------
     scene : Scene
-        What is shown.
+        The sequence and its flows.
     top : float
         End of the error maps' scale in pixels.
 
@@ -186,7 +186,7 @@ def gallery(scene: Scene, top: float) -> Gallery:
 
 
 def legend(rim: float, top: float, unknown: bool) -> list[Picture]:
-    """Return the colour wheel, and the bar of the error maps, with what they stand for."""
+    """Return the colour wheel, and the bar of the error maps, with their captions."""
     wheel, wheel_size = embedded(color_wheel(_WHEEL))
     bar, bar_size = embedded(error_picture(np.linspace(0.0, top, 160)[None, :].repeat(16, axis=0), top))
     black = " Black: unknown." if unknown else ""

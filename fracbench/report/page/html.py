@@ -1,4 +1,4 @@
-"""The report: one HTML file with everything that was found, which opens from disk and asks for nothing else."""
+"""The report: one HTML file with all results, which needs neither other files nor a network."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from fracbench.report.page.beyond import beyond
 from fracbench.report.page.elements import Section, render_page
 from fracbench.report.sources import Sources
 
-_TITLE = "Fractional optical flow: what of the paper holds"
+_TITLE = "Fractional optical flow: does the paper hold?"
 
 _LEAD = (
     "The paper is S. Gh. Bardeji, I. N. Figueiredo, E. Sousa, *Optical flow with fractional order regularization: "
     "variational model and solution method* ([arXiv:1512.01398](https://arxiv.org/abs/1512.01398)). fracbench "
     "computed its tables and figures anew, with a solver written and tested from its equations, and this page "
-    "puts every claim of the paper that can be tested beside what came out."
+    "gives a verdict on every claim of the paper that can be tested."
 )
 
 
 def write_report(sources: Sources) -> Path:
-    """Write the report from what the store holds; what is missing there is named, with its command.
+    """Write the report from the stored points; missing ones are named, with their command.
 
     The page shows Middlebury's frames, so it goes below ``runs``, which is never committed.
 
@@ -67,7 +67,7 @@ def page(sources: Sources) -> str:
 
 
 def experiments() -> list[str]:
-    """Return the experiments of the page: tables, figures, studies, and what else the claims look at."""
+    """Return the experiments of the page: tables, figures, studies, and those that only the claims read."""
     known = list_experiments()
     numbered = [name for kind in ("table", "fig") for name in known if name.removeprefix(kind).isdigit()]
     wanted = dict.fromkeys([*numbered, "protocol_study", "solver_study", *claims.EXPERIMENTS])

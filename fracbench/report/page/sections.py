@@ -1,4 +1,4 @@
-"""What the report says of the results: verdicts, Table 2, and the two studies."""
+"""The report's sections on the results: verdicts, Table 2, and the two studies."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def verdicts(judged: Sequence[Judged], pictures: Sequence[Block] = ()) -> Sectio
     judged : sequence of Judged
         From `fracbench.report.claims.claims.evaluate`.
     pictures : sequence of Block, optional
-        What sums them up.
+        The picture that sums them up.
 
     Returns
     -------
@@ -62,7 +62,7 @@ def verdicts(judged: Sequence[Judged], pictures: Sequence[Block] = ()) -> Sectio
         [_claim_cell(i, item), *(_verdict_cell(item, name) for name in protocols)] for i, item in enumerate(judged)
     ]
     table = Table(
-        f"{len(judged)} claims of the paper, and what the stored results say of them",
+        f"{len(judged)} claims of the paper and their verdicts by the stored results",
         [Column("Claim"), *(Column(name) for name in protocols)],
         rows,
         cards=True,
@@ -70,8 +70,8 @@ def verdicts(judged: Sequence[Judged], pictures: Sequence[Block] = ()) -> Sectio
     )
     lead = (
         f"{len(judged)} sentences of the paper that a computation can judge, each under "
-        f"{len(protocols)} ways to compute: no verdict was typed, all follow from the stored results by the "
-        "test that stands below the claim."
+        f"{len(protocols)} ways to compute: every verdict follows from the stored results by the test "
+        "below the claim; none was typed."
     )
     blocks = [Text(lead), Tallies(cards), *pictures, table]
     return Section("verdicts", "Claims", "Which claims hold", blocks)
@@ -145,7 +145,7 @@ def _overview(table: pd.DataFrame, grids: Mapping[str, Sequence[str]], word: str
         rows.append([Cell(name), *map(Cell, (*distances, *counts, *aepe))])
     n, sequences = len(METRICS) * table.groupby("part").size().max(), table["sequence"].nunique()
     caption = (
-        f"Distance: root mean square of ln(ours / paper); 0 is equal, .1 about 10 %. Counts are of {n} numbers "
+        f"Distance: root mean square of ln(ours / paper); 0 is equal, 0.1 about 10 %. Counts are of {n} numbers "
         f"and of {sequences} sequences; in the paper TV-L1-SB is better on all."
     )
     return Table(caption, columns, rows)
@@ -193,7 +193,7 @@ def _sentence(text: str) -> str:
 
 
 def protocol_study(sources: Sources) -> Section:
-    """Return what each switch between the reference and the published protocol does to Table 2."""
+    """Return the effect on Table 2 of each switch between the reference and the published protocol."""
     name = "protocol_study"
     source = sources.get(name)
     blocks = state(source, sources, name)
@@ -237,5 +237,5 @@ def _solvers(summary: pd.DataFrame) -> Table:
         ]
         for found in summary.to_dict("records")
     ]
-    caption = "Limit: the order from which on the printed fixed-point sweep (Jacobi) diverges on a large image"
+    caption = "Limit: the order above which the printed fixed-point sweep (Jacobi) diverges on a large image"
     return Table(caption, columns, rows)

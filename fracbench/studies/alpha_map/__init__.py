@@ -1,4 +1,4 @@
-"""Alpha by class of structure
+"""Alpha by class of structure: its leave-one-out gain over one order, and its oracle bounds.
 
-Imports  what it gains over one order, and the oracle bound.:what `fracbench.studies` may.
+Imports the rooms that `fracbench.studies` may import.
 """

@@ -34,8 +34,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 LEGEND = (
-    "`left out`: the alpha, or the alphas of {classes}, with the least mean AEPE on the other sequences; the true "
-    "flow of a sequence has no part in what is chosen for it. `all in`: on all sequences. `by the truth`: bounds, "
+    "`left out`: the alpha, or the alphas of {classes}, with the least mean AEPE on the other sequences "
+    "(leave-one-out). `all in`: on all sequences. `by the truth`: oracle bounds, "
     "not methods; the true flow of the sequence itself chooses among {orders}, for each class, for the "
     "neighbourhood of {window} x {window} pixels about each pixel, or for the pixel: the map of orders is run, or "
     "the flows of single orders are put together. `gain`: AEPE against one alpha left out, per cent."
@@ -78,7 +78,7 @@ def adaptive_alpha(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], 
 
 
 def legend(experiment: Experiment, oracles: Oracles) -> str:
-    """Say what the names of the estimates mean."""
+    """Return the legend of the estimates' names."""
     from fracbench.model.structure import CLASSES
 
     found = next((found for found in oracles.values() if found is not None), None)

@@ -31,7 +31,7 @@ _SCOPES = {"classes": "classes", "window": "best order about each pixel", "pixel
 
 
 def gain_panels(table: pd.DataFrame, confusion: pd.DataFrame, title: str) -> Figure:
-    """Draw what is gained on each sequence, and which order is best where in each class.
+    """Draw the gain on each sequence, and the shares of the best orders in each class.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def order_pictures(items: Sequence[tuple[Any, ...]]) -> list[tuple[str, NDArray[
 
 
 def order_title(alphas: Sequence[float]) -> str:
-    """Return what the colours of `order_pictures` mean."""
+    """Return the legend of the colours of `order_pictures`."""
     words = ", ".join(f"{word} {name}" for name, (word, _) in CLASS_COLOURS.items())
     return (
         f"Classes of the first frame ({words}),\nand the orders that the truth would choose "

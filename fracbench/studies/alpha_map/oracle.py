@@ -1,4 +1,4 @@
-"""Maps of orders that know the true flow: how much an order that follows the image could gain at most.
+"""Oracle bounds: maps of orders chosen by the true flow, which limit the gain of any order that follows the image.
 
 No method may use them. They are computed from the flows of single orders, kept beside the store, and kept
 themselves in the folder ``oracles``, one file a sequence, so that nothing is computed twice.
@@ -26,7 +26,7 @@ from fracbench.harness.run.store import canonical_json
 from fracbench.model.params import FlowParams
 from fracbench.model.structure import CLASSES, structure_classes
 
-#: What the truth chooses an order for: all pixels of a class, the neighbourhood of a pixel, the pixel.
+#: Scopes of a choice by the truth: all pixels of a class, the neighbourhood of a pixel, the pixel.
 SCOPES = ("class", "window", "pixel")
 
 _VERSION = 1
@@ -106,7 +106,7 @@ def load_maps(points: Sequence[Point], window: int, folder: Path) -> Mapping[str
 
 
 def compute_oracle(points: Sequence[Point], data: Path | None, flows: Path, window: int, folder: Path) -> None:
-    """Compute what the truth would choose on one sequence, and what comes of it.
+    """Compute the orders that the truth chooses on one sequence, and their errors.
 
     Parameters
     ----------

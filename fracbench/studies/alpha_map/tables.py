@@ -1,4 +1,4 @@
-"""What an alpha for each class of structure gains over one alpha for all, and how much there is to gain."""
+"""The leave-one-out gain of an alpha for each class of structure over one alpha for all, and its oracle bounds."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 #: Parts of the experiment: single orders, orders by class, and the single orders that oracles choose from.
 SINGLE, BY_CLASS, ORACLE = "single", "classes", "oracle"
-#: What is compared, by its short name; `left out`: chosen on the other sequences, `all in`: on all of them.
+#: The estimates by their short names; `left out`: chosen on the other sequences, `all in`: on all of them.
 ESTIMATES: Mapping[str, str] = {
     "one": "alpha = 1",
     "single": "one alpha, left out",
@@ -31,21 +31,21 @@ ESTIMATES: Mapping[str, str] = {
     **{f"least {scope}": f"single flows put together by {scope}, by the truth" for scope in SCOPES},
 }
 MEAN = "mean"
-#: What was to be reached against the best single alpha: per cent in the mean, and the part of the sequences.
+#: The goal against the best single alpha: per cent in the mean, and the part of the sequences.
 GOAL, GOAL_SHARE = 3.0, 0.75
 
 Oracles = Mapping[str, Mapping[str, Any] | None]
 
 
 def adaptive_table(runs: pd.DataFrame, oracles: Oracles) -> pd.DataFrame:
-    """Put everything that is compared in one table.
+    """Return the errors of all estimates in one table.
 
     Parameters
     ----------
     runs : pandas.DataFrame
         From `tables.tidy`, with the parts `SINGLE` and `BY_CLASS`.
     oracles : mapping
-        By sequence what `fracbench.studies.alpha_map.oracle` found, or None.
+        By sequence the bounds from `fracbench.studies.alpha_map.oracle`, or None.
 
     Returns
     -------
@@ -89,7 +89,7 @@ def _settings(runs: pd.DataFrame, part: str) -> pd.DataFrame:
 
 
 def _chosen(errors: pd.DataFrame, kind: str, sequences: list[str]) -> list[tuple[Any, ...]]:
-    """Return what is chosen of one kind of settings: on the other sequences, on all, on the sequence itself."""
+    """Return the choices among settings of one kind: on the other sequences, on all, on the sequence itself."""
     aepe = errors["aepe"][sequences].to_numpy()
     choice = leave_one_out(aepe)
     records: list[tuple[Any, ...]] = []
@@ -167,7 +167,7 @@ def reached(table: pd.DataFrame) -> tuple[float, int, int] | None:
 
 
 def adaptive_sentences(table: pd.DataFrame, oracles: Oracles) -> list[str]:
-    """Say what alpha by class gains, what there is to gain, and, if the goal is missed, why.
+    """State the gain of alpha by class, its bounds, and, if the goal is missed, the reason.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ def adaptive_sentences(table: pd.DataFrame, oracles: Oracles) -> list[str]:
 
 
 def _where(table: pd.DataFrame) -> list[str]:
-    """Say on which sequences alpha by class gains and on which it loses, largest first."""
+    """Name the sequences on which alpha by class gains and those on which it loses, largest first."""
     gains = table[(table["estimate"] == "adaptive") & (table["sequence"] != MEAN)].set_index("sequence")["gain"]
     gains = gains.sort_values(key=abs, ascending=False, kind="stable")
     parts = {"It gains on": gains[gains > 0.0], "It does not gain on": gains[gains <= 0.0]}
@@ -231,26 +231,26 @@ def _bounds(means: pd.DataFrame) -> list[str]:
         "; ".join(f"{gains[f'{kind} {scope}']} by {scope}" for scope in SCOPES) for kind in ("run", "least")
     ]
     return [
-        "Upper bounds, for which the truth chooses, against one alpha left out: one alpha for each sequence "
+        "Oracle bounds, chosen by the true flow, against one alpha left out: one alpha for each sequence "
         f"{gains['single own']}, alpha by class for each sequence {gains['adaptive own']}; runs with a map of "
         f"orders: {by_scope[0]}; the single flows put together: {by_scope[1]}."
     ]
 
 
 def _reasons(means: pd.DataFrame, oracles: Oracles) -> list[str]:
-    """Say where what there is to gain is lost: no room, classes that do not find it, or that do not carry over."""
+    """State the reason of a missed goal: no room, classes that do not find it, or that do not generalise."""
     room, by_class = means.loc["least window", "gain"], means.loc["least class", "gain"]
     own = means.loc["single own", "gain"]
     if room < GOAL:
         cause = "there is little to gain by any map of orders over neighbourhoods"
     elif by_class - own < GOAL:
-        cause = "the classes do not tell where which order is best"
+        cause = "the classes do not predict the best order"
     else:
-        cause = "what is best for a class on one sequence is not on the others"
+        cause = "the best order of a class differs between sequences"
     sentence = (
-        f"Why: {cause}. With the single flows put together, orders by neighbourhood would give {_less(room)}; the "
-        f"best order of each class, known for each sequence, {_less(by_class)}, of which the best single alpha of "
-        f"each sequence alone {_less(own)}."
+        f"The reason: {cause}. With the single flows put together, orders by neighbourhood would give "
+        f"{_less(room)}; the best order of each class, known for each sequence, {_less(by_class)}, of which the "
+        f"best single alpha of each sequence alone {_less(own)}."
     )
     sentences = [sentence]
     if means.loc["run window", "gain"] < 0.0 < room:
@@ -265,9 +265,9 @@ def _reasons(means: pd.DataFrame, oracles: Oracles) -> list[str]:
     ranges = ", ".join(f"{name} {spread[name].min():g} to {spread[name].max():g}" for name in CLASSES)
     return [
         *sentences,
-        f"Who knows the class of a pixel and takes the order that is most often best about its class is right at "
-        f"{told:.0f} % of the pixels; who does not know it, at {guessed:.0f} %. Over the sequences, the order "
-        f"with the least error on a class runs: {ranges}.",
+        f"The order that is most often best for a pixel's class is the best one at {told:.0f} % of the pixels; "
+        f"the order that is most often best for all pixels, at {guessed:.0f} %. Over the sequences, the order "
+        f"with the least error on a class ranges: {ranges}.",
     ]
 
 

@@ -7,7 +7,7 @@
 ``protocols`` the other protocols
 ============= ==========================================================================================
 
-All but ``main`` may be left out. ``options.paper`` holds what the captions say: for each region the best
+All but ``main`` may be left out. ``options.paper`` holds the captions' values: for each region the best
 ``lambda_sb`` and, under ``aae`` and ``aepe``, the best alpha.
 """
 
@@ -50,7 +50,7 @@ _OTHER = {"color": BEHIND, "linewidth": 0.8, "zorder": 1.5}
 
 
 def alpha_regions(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
-    """Draw Figure 6 or 7 as the paper has it; beside it with context, and under the other protocols."""
+    """Draw Figure 6 or 7 as in the paper; then with context, and under the other protocols."""
     from fracbench.figures.cache import draw
 
     table = tidy(plan, rows).reindex(columns=_COLUMNS)
@@ -79,7 +79,7 @@ def regions_figure(
     table : pandas.DataFrame
         Tidy rows of all parts.
     captions : mapping
-        What the paper's captions say: ``lambda_sb``, ``aae``, ``aepe`` by region.
+        The values in the paper's captions: ``lambda_sb``, ``aae``, ``aepe`` by region.
     kind : str
         ``""`` for the paper's, ``"context"`` or ``"protocols"``.
     title : str
@@ -97,7 +97,7 @@ def regions_figure(
 
 
 def _captions(experiment: Experiment) -> dict[str, dict[str, float]]:
-    """Return what the captions say of each region, checked."""
+    """Return the captions' values for each region, checked."""
     keys = (SB, *METRICS)
     try:
         given = dict(experiment.options.get("paper", {}))
@@ -108,7 +108,7 @@ def _captions(experiment: Experiment) -> dict[str, dict[str, float]]:
 
 
 class _Regions:
-    """The rows of the experiment, and what the panels show of them."""
+    """The rows of the experiment, and the curves and bands of its panels."""
 
     def __init__(self, table: pd.DataFrame, captions: Mapping[str, Mapping[str, float]]) -> None:
         self.table = table
@@ -123,7 +123,7 @@ class _Regions:
         return self.table[(self.table["part"] == part) & (self.table["region"] == region)]
 
     def kinds(self) -> list[str]:
-        """Return what can be drawn: see `regions_figure`."""
+        """Return the variants that can be drawn: see `regions_figure`."""
         return ["", *(part for part in (CONTEXT, PROTOCOLS) if self.has(part))]
 
     def band(self) -> pd.DataFrame:

@@ -107,7 +107,7 @@ def family(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results:
 
 
 def _option(experiment: Experiment, name: str) -> Any:
-    """Return an option that a renderer cannot do without."""
+    """Return an option that a renderer requires."""
     if name not in experiment.options:
         raise InputError(f"experiment {experiment.name}: artefact {experiment.artefact} needs the option {name!r}")
     return experiment.options[name]

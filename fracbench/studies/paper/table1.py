@@ -38,13 +38,13 @@ def table1(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results:
 
 
 def parameter_table() -> pd.DataFrame:
-    """Return what is known of every parameter, one row each.
+    """Return the record of every parameter, one row each.
 
     Returns
     -------
     pandas.DataFrame
         Strings: ``symbol`` (LaTeX), ``parameter`` (its name on the command line), ``meaning``, ``paper`` (the
-        range of Table 1, or what the paper says elsewhere), ``allowed``, ``default`` (`recommended`).
+        range of Table 1, or the paper's words elsewhere), ``allowed``, ``default`` (`recommended`).
     """
     import pandas as pd
 

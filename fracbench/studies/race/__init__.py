@@ -1,4 +1,4 @@
 """The speed of the methods beside that of peers.
 
-Imports what `fracbench.studies` may.
+Imports the rooms that `fracbench.studies` may import.
 """

@@ -19,7 +19,7 @@ from fracbench.methods.registry import get_method
 from fracbench.model.params import FlowParams
 from fracbench.model.structure import CLASSES
 
-#: What every ratio is relative to.
+#: The contender that ratios are relative to.
 YARDSTICK = "opencv_tvl1"
 
 
@@ -36,7 +36,7 @@ class Contender:
     params : mapping
         On top of the sequence's own (Table 2) and of the method's defaults, or of the protocol's.
     protocol : str
-        Whose parameters to take as they are; empty for the method's own.
+        The protocol whose parameters are taken; empty for the method's own.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""How fast solvers of the u-step and of a linearised problem converge.
+"""Convergence of the solvers of the u-step and of one linearised problem.
 
-Imports what `fracbench.studies` may.
+Imports the rooms that `fracbench.studies` may import.
 """

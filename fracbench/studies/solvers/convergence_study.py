@@ -80,7 +80,7 @@ def measure(options: Mapping[str, Any], plan: Plan) -> tuple[pd.DataFrame, dict[
     options : mapping
         Of the experiment.
     plan : Plan
-        Whose data to use.
+        The plan whose data are used.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""How fast solvers of one linearised problem come near its minimum: energy against iterations and seconds."""
+"""Solvers of one linearised problem: how their energy falls to its minimum, by iterations and seconds."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ SOLVERS: Mapping[str, Mapping[str, Any]] = {
     "exact, warm, multiplier, over-relaxed (default)": {},
 }
 DEFAULT = "exact, warm, multiplier, over-relaxed (default)"
-#: Solvers whose sweeps the paper prints as double sums, and what they are called then.
+#: Solvers whose sweeps the paper prints as double sums, and their names then.
 LITERAL = {name: f"{name}, by the printed double sums" for name in ("Gauss-Seidel, cold", "Gauss-Seidel, warm")}
 
 #: Seconds of a run that is worth being timed again.
@@ -106,7 +106,7 @@ def course(
     Parameters
     ----------
     problem : Problem
-        What to minimise.
+        The problem.
     solver : mapping
         Parameters, as in `SOLVERS`.
     least : float

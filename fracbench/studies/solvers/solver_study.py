@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 #: Solvers of the u-step, as the study names them.
 SOLVERS: Mapping[str, str] = {"jacobi": "Jacobi (printed)", "gauss_seidel": "Gauss-Seidel", "exact": "exact"}
-#: What the tables of whole runs keep.
+#: Columns of the tables of whole runs.
 _COLUMNS = ["region", "sequence", "theta", "lambda_sb", "u_solver", "alpha", "aae", "aepe"]
 _COLUMNS += ["iterations", "inner_iterations", "stop", "status"]
 #: A best alpha this near to the limit, or to the paper's (one step of its grid), counts as there.
@@ -79,7 +79,7 @@ def _kept_spectra(stem: Path, pairs: pd.DataFrame, options: Mapping[str, Any]) -
 
 _SOLVER_LEGEND = (
     "The order alpha with the smallest errors, as printed and as each solver of the u-step reports it. `limit` is "
-    "the order from which on the printed fixed point (Jacobi, signs corrected) diverges on a large image with d "
+    "the order above which the printed fixed point (Jacobi, signs corrected) diverges on a large image with d "
     "and b held (docs/errata.md, item 3); inside Algorithm 4 the shrinkage bounds it, and it oscillates instead."
 )
 _SPECTRA_LEGEND = (

@@ -1,4 +1,4 @@
-"""How fast the solvers of the u-step converge: spectral radii, sweeps to a tolerance, and a closed-form limit.
+"""Convergence of the solvers of the u-step: spectral radii, sweeps to a tolerance, and a closed-form limit.
 
 The system is that of `fracbench.model.sweeps`, ``A = 1/theta + mu (Ny (x) I + I (x) Nx)``, with d and b held.
 Radii are found without forming A, by Krylov iterations on the sweep itself.
@@ -24,7 +24,7 @@ _PRECISION = 1e-4
 
 
 def jacobi_limit(theta: float, mu: float) -> float:
-    r"""Return the order from which on the printed fixed point diverges on a large image.
+    r"""Return the order above which the printed fixed point diverges on a large image.
 
     There the eigenvalues of ``T^T T`` fill ``[0, 4^alpha]`` and its diagonal is ``s(alpha) = sum w_k^2 =
     Gamma(1 + 2 alpha) / Gamma(1 + alpha)^2``, so that Jacobi's spectral radius exceeds 1 where

@@ -1,4 +1,4 @@
-"""Which order is best for which structure, by scenes of one structure and classes of pixels.
+"""The best order for each structure, on scenes of one structure and on classes of pixels.
 
-Imports what `fracbench.studies` may.
+Imports the rooms that `fracbench.studies` may import.
 """

@@ -1,4 +1,4 @@
-"""The artefact of the question which alpha is best for which structure."""
+"""The study of the best alpha for each structure: its tables, sentences and figures."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _LEGEND = (
     "`best` is the alpha with the smallest error relative to alpha = 1, in the geometric mean over seeds (scenes) "
     "or sequences (classes of pixels, `{all}`: all of them), with the interval of 2000 bootstrap resamples. The "
     "gain over alpha = 1, with Student's interval, is taken at the alpha that is best for the other half of the "
-    "seeds or sequences: an alpha chosen on the same data gains something always. `paper`: section 4.2, where "
+    "seeds or sequences: an alpha chosen on the same data always gains something. `paper`: section 4.2, where "
     "flat is close to 0, read as up to 0.3; `costs`: the best alpha in that range against the best of all. Under "
     "`reflect`, alpha = 0 is apart: the operator is the identity there. Parameters: conf/sequence."
 )
@@ -71,7 +71,7 @@ def alpha_by_structure(experiment: Experiment, plan: Plan, rows: Mapping[str, Ro
 
 
 def _paper(experiment: Experiment) -> dict[str, tuple[float, float]]:
-    """Return what the paper says, checked."""
+    """Return the paper's ranges, checked."""
     try:
         said = dict(experiment.options.get("paper") or {})
         return {str(name): (float(low), float(high)) for name, (low, high) in said.items()}
@@ -114,7 +114,7 @@ def _readable(best: pd.DataFrame) -> pd.DataFrame:
 
 
 def _pictures(plan: Plan, stem: Any) -> list[Path]:
-    """Draw the first frames with their classes: the scenes' to be shown, Middlebury's for oneself."""
+    """Draw the first frames with their classes: the scenes' to publish, Middlebury's in the private folder."""
     from fracbench.figures.cache import draw
     from fracbench.figures.pictures import frame_panel
     from fracbench.studies.structure.figures import CLASS_COLOURS, class_overlay

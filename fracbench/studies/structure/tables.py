@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 #: Parts of the experiment: rendered scenes, repeated over seeds; classes of pixels, over sequences.
 SCENES, BY_CLASS = "scenes", "classes"
-#: What stands for all pixels among the classes.
+#: The name of all pixels among the classes.
 ALL = "all"
 X = "alpha"
 METRICS = ("aepe", "aae")
@@ -82,7 +82,7 @@ def curve_table(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def best_table(table: pd.DataFrame, paper: Mapping[str, tuple[float, float]]) -> pd.DataFrame:
-    """Return where the errors are smallest, what that gains over alpha = 1, and how it agrees with the paper.
+    """Return the best alphas, their gains over alpha = 1, and their agreement with the paper.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def _against_paper(
 
 
 def sentences(best: pd.DataFrame) -> list[str]:
-    """Say for each structure where the best alpha is over all noises and boundaries, and what it gains.
+    """State for each structure the best alpha over all noises and boundaries, and its gain.
 
     Parameters
     ----------

@@ -225,7 +225,7 @@ def test_failed_points_are_said(tmp_path):
     fill(tmp_path, made_up(source, status="failed"))
     sources = Sources(tmp_path, SETTINGS, small=True)
     (said,) = exhibits.state(sources.get("table2"), sources, "table2")
-    assert said.markdown == f"{source.n_points} points of table2 did not end well; the first: made up"
+    assert said.markdown == f"{source.n_points} points of table2 failed or diverged; the first: made up"
 
 
 def test_a_folder_that_cannot_be_used_is_said(tmp_path):
