@@ -1,32 +1,32 @@
-# Everything runs in an environment of its own, .venv, which the first command makes.
+# Every command runs in an environment of its own, .venv, which the first command makes.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 FRACBENCH := $(BIN)/python -m fracbench
 
 .DEFAULT_GOAL := help
-.PHONY: help setup table2 figures paper beyond publish check test test-python lint format clean
+.PHONY: help setup table2 figures paper beyond publish check check-all test test-python lint format clean
 
 help: ## list the commands
-	@awk -F ':.*## ' '/^[a-z0-9_-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z0-9_-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
-setup: $(VENV)/.ready ## make the environment (the other commands do so themselves)
+setup: $(VENV)/.ready ## make the environment (every other command does so when needed)
 
 $(VENV)/.ready: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
 	@touch $@
 
-table2: $(VENV)/.ready ## Table 2 of the paper, published beside recomputed
+table2: $(VENV)/.ready ## compute Table 2 of the paper, published beside recomputed
 	$(FRACBENCH) table 2
 
-figures: $(VENV)/.ready ## all figures of the paper
+figures: $(VENV)/.ready ## draw all figures of the paper
 	for number in 1 2 3 4 5 6 7; do $(FRACBENCH) figure $$number || exit; done
 
-paper: $(VENV)/.ready ## everything of the paper, with a verdict on every claim, on one page
+paper: $(VENV)/.ready ## write all tables and figures of the paper and a verdict on every claim on one page
 	$(FRACBENCH) report
 
-beyond: $(VENV)/.ready ## the experiments beyond the paper, in the same page's section of that name
+beyond: $(VENV)/.ready ## run the experiments beyond the paper and add them to that page
 	$(FRACBENCH) report --beyond
 
 publish: $(VENV)/.ready ## maintainers: renew results/committed and the answer in README.md from what is computed
@@ -35,20 +35,26 @@ publish: $(VENV)/.ready ## maintainers: renew results/committed and the answer i
 check: $(VENV)/.ready ## recompute the stored tables and compare them cell by cell
 	$(FRACBENCH) check
 
-test: $(VENV)/.ready ## all tests
+check-all: ## run all checks of a change, as CI does: lint, test, test-python, check
+	$(MAKE) lint
+	$(MAKE) test
+	$(MAKE) test-python
+	$(MAKE) check
+
+test: $(VENV)/.ready ## run all tests
 	$(BIN)/python -m pytest --numprocesses 2 --dist loadfile
 
-test-python: $(VENV)/.ready ## the numerics without compilation: the same code as plain Python
+test-python: $(VENV)/.ready ## test the numerics without compilation, as plain Python
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q $(addprefix tests/model/, $(addsuffix .py, \
 	  kernels/test_cosine kernels/test_pointwise kernels/test_forward_rows kernels/test_exponential_sum \
 	  kernels/test_line_elimination test_sweeps test_warping test_pyramid))
 
-lint: $(VENV)/.ready ## style and types
+lint: $(VENV)/.ready ## check style and types
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-format: $(VENV)/.ready ## put the code in house style
+format: $(VENV)/.ready ## format the code
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
