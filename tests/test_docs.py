@@ -1,8 +1,9 @@
-"""Numbers in the documents: those that a stored table holds, too, must agree with it."""
+"""The documents: numbers agree with the stored tables; paths, tests and rooms that they name exist."""
 
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -60,3 +61,49 @@ def document() -> str:
 def test_the_readme_shows_the_stored_answer():
     answer = (ROOT / "results/committed/tables/answer.md").read_text(encoding="utf-8")
     assert answer in (ROOT / "README.md").read_text(encoding="utf-8"), "run: make publish"
+
+
+def documents() -> list[Path]:
+    return [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+def named_tests(text: str) -> list[tuple[str, str]]:
+    """The tests that a document names, as (path, name); a name alone belongs to the path before it."""
+    found, path = [], ""
+    for file, name in re.findall(r"(tests/[\w/]+\.py)?(?:::(test_\w+))?", text):
+        path = file or path
+        if file or name:
+            found.append((path, name))
+    return found
+
+
+def test_the_documents_name_tests_that_exist():
+    assert named_tests("`tests/a.py::test_b`, `::test_c`; tests/d.py") == [
+        ("tests/a.py", "test_b"), ("tests/a.py", "test_c"), ("tests/d.py", ""),
+    ]  # fmt: skip
+    named = {test for document in documents() for test in named_tests(document.read_text(encoding="utf-8"))}
+    assert len(named) > 30
+    for path, name in sorted(named):
+        assert (ROOT / path).is_file(), path
+        assert f"def {name}" in (ROOT / path).read_text(encoding="utf-8"), f"{path}::{name}"
+
+
+@pytest.mark.parametrize("path", documents() if ROOT else [], ids=lambda path: path.name)
+def test_the_documents_name_files_that_exist(path):
+    text = path.read_text(encoding="utf-8")
+    files = re.findall(r"\b(?:fracbench|conf|experiments|docs)/[\w/]+(?:\.(?:py|md|yaml))?", text)
+    links = [link for link in re.findall(r"\]\(([^)#]+)", text) if "://" not in link]
+    for place in {*(ROOT / file for file in files), *(path.parent / link for link in links)}:
+        assert "NAME" in place.name or "my_" in place.name or place.exists(), place
+
+
+def test_the_map_of_the_rooms_is_complete():
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    told = [row[0].strip("`").rstrip("/") for row in rows(text) if row[0].startswith("`fracbench/")]
+    package = ROOT / "fracbench"
+    rooms = [init.parent.relative_to(ROOT).as_posix() for init in package.glob("*/**/__init__.py")]
+    assert sorted(told) == sorted(rooms)
+
+
+def test_the_readme_is_short():
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 120
