@@ -160,12 +160,8 @@ def _add_upkeep(add: _Add) -> None:
         compare.add_argument(side, help="a store or folder of results, STORE@COMMIT, or a commit")
     bench = add("bench", _bench, "time the methods and the peers that are installed, interleaved, warm")
     bench.add_argument("--repeats", type=int, default=5, help="timed rounds; the median counts (default: 5)")
-    bench.add_argument(
-        "--threads",
-        type=int,
-        help="of the solver and OpenCV (default: 1); of size, or processes of jobs, against 1 (2)",
-    )
-    bench.add_argument("--study", choices=["size", "jobs", "roofline"], help="instead of a race")
+    bench.add_argument("--threads", type=int, default=1, help="of the solver and OpenCV (default: 1)")
+    bench.add_argument("--study", choices=["size", "jobs", "roofline"], help="moved to benchmarks/ of a checkout")
     bench.add_argument("--only", default="", metavar="NAME,...", help="contenders, by beginning of name")
     _add_overrides(bench, grid=False)
     data = add("data", _data, "say where the Middlebury data are and whether they are whole; fetch them")

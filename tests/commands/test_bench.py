@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from fracbench import estimate_flow
+from fracbench.commands.bench import STUDIES
 from fracbench.commands.cli import main
 from fracbench.errors import InputError
-from fracbench.harness import growth
+from fracbench.harness.config.paths import checkout
 from fracbench.harness.run.plan import make_plan
 from fracbench.harness.run.point import canonical_value
-from fracbench.harness.run.provenance import array_bytes
 from fracbench.studies.race import figures as benchmark
 from fracbench.studies.race import measure as bench
 
@@ -101,59 +99,15 @@ def test_the_command_writes_table_and_picture(tmp_path, capsys):
     assert (tmp_path / "runs" / "bench" / "bench_1_threads_some.png").stat().st_size > 1000
 
 
-def test_growth_reports_every_size(monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr(growth, "SHAPES", ((40, 48), (60, 64)))
-    assert main(["bench", "--study", "size", "--repeats", "1", f"paths.results={tmp_path}"]) == 0
-    assert "bytes_per_pixel" in capsys.readouterr().out
-    table = pd.read_csv(tmp_path / "runs" / "bench" / "size_2_threads.csv")
-    assert table[["boundary", "height", "width"]].values.tolist() == [
-        ["reflect", 40, 48], ["reflect", 60, 64], ["zero", 40, 48],
-    ]  # fmt: skip
-    np.testing.assert_allclose(table["us_per_pixel"], 1e6 * table["seconds"] / table["height"] / table["width"])
-
-
-def test_a_flow_takes_no_more_memory_than_is_told():
-    frames = growth.texture_pair((240, 320))
-    estimate = partial(estimate_flow, *frames, boundary="reflect", **growth.FIXED)
-    estimate()
-    assert array_bytes(estimate) / (240 * 320) < 120.5
-
-
-def test_bytes_are_those_of_the_arrays_that_live_at_once():
-    def work():
-        first = np.zeros(10**6, np.uint8)
-        del first
-        np.zeros(3 * 10**6, np.uint8)
-
-    assert array_bytes(work) == pytest.approx(3 * 10**6, rel=0.01)
-
-
-def test_the_roofline_counts_flops_and_bytes(monkeypatch, tmp_path):
-    monkeypatch.setattr(growth, "SHAPES", ((32, 64), (64, 64)))
-    assert main(["bench", "--study", "roofline", "--repeats", "1", f"paths.results={tmp_path}"]) == 0
-    row = pd.read_csv(tmp_path / "runs" / "bench" / "roofline.csv").iloc[1]
-    assert row["mflop"] == pytest.approx(2e-6 * 64 * 64 * (14 * 2.5 * 6 + 90))  # log2(64) = 6 along both axes
-    assert row["mbyte"] == pytest.approx(4e-6 * 64 * 64 * 113)
-    assert row["ms_by_bytes"] == pytest.approx(row["mbyte"] / row["gbyte_s"]) and row["ms"] > 0
-
-
-def test_jobs_compare_whole_sweeps(tmp_path):
-    sweep = [SCENE, "alpha=1,1.2,1.4", "n_scales=1", "n_warps=1", "max_iter=1", "method=tvl1_sb_alpha"]
-    command = ["bench", *sweep, "--study", "jobs", "--repeats", "1", f"paths.results={tmp_path}"]
-    assert main(command) == 0
-    row = pd.read_csv(tmp_path / "runs" / "bench" / "jobs_2.csv").iloc[0]
-    assert (row["points"], row["jobs"]) == (3, 2) and row["overhead_ms"] > 0
-    assert row["speed_up"] == pytest.approx(row["seconds_1"] / row["seconds_n"])
-
-
-def test_the_texture_moves_as_it_says():
-    frame0, frame1 = growth.texture_pair((30, 40))
-    assert frame0.dtype == np.uint8 and frame0.min() == 0 and frame0.max() == 255
-    np.testing.assert_array_equal(frame1[1:, 2:], frame0[:-1, :-2])
-
-
 @pytest.mark.parametrize("option", ["--repeats", "--threads"])
-@pytest.mark.parametrize("study", [[], ["--study", "size"], ["--study", "jobs"], ["--study", "roofline"]])
-def test_numbers_below_one_are_refused(option, study, capsys):
-    assert main(["bench", SCENE, *study, option, "0"]) == 2
+def test_numbers_below_one_are_refused(option, capsys):
+    assert main(["bench", SCENE, option, "0"]) == 2
     assert "must be at least 1" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("study", STUDIES)
+def test_a_study_names_the_script_that_it_has_become(study, capsys):
+    assert main(["bench", "--study", study]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    script = line.partition("python ")[2].partition(",")[0]
+    assert (checkout() / script).is_file()

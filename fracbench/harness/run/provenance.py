@@ -7,8 +7,6 @@ import importlib.metadata
 import os
 import platform
 import subprocess
-import tracemalloc
-from collections.abc import Callable
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
@@ -144,21 +142,3 @@ def return_what_is_freed() -> None:
     with suppress(OSError, AttributeError, TypeError):  # another C library, another system
         for threshold in (_M_MMAP_THRESHOLD, _M_TRIM_THRESHOLD):
             ctypes.CDLL(None).mallopt(threshold, _LARGE)
-
-
-def array_bytes(work: Callable[[], object]) -> int:
-    """Call `work` and return the most that its arrays took at once, bytes.
-
-    It is what Python and NumPy ask for: the same on every system, without what the system's allocator wastes.
-
-    Parameters
-    ----------
-    work : callable
-        What to measure; it runs slower.
-    """
-    tracemalloc.start()
-    try:
-        work()
-        return tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()

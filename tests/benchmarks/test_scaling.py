@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 
 import pytest
+import scaling
 
-from fracbench.harness import scaling
 from fracbench.harness.run.plan import make_plan
 
 

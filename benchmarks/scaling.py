@@ -1,10 +1,11 @@
-"""What a sweep costs besides its points: ``python -m fracbench.harness.scaling [ADDRESS]`` measures, extrapolates.
+"""Measure the cost of a sweep beyond its points, and extrapolate it to 100,000 points.
 
 40 points are computed on one worker process and on two; with the address of a Dask scheduler, on its workers too.
 """
 
 from __future__ import annotations
 
+import argparse
 import sys
 import tempfile
 import time
@@ -13,7 +14,10 @@ from multiprocessing.reduction import ForkingPickler
 from pathlib import Path
 from statistics import mean
 
+import common
+
 from fracbench.commands import console
+from fracbench.commands.parser import Parser
 from fracbench.harness.run import provenance
 from fracbench.harness.run import sweep as execute
 from fracbench.harness.run.message import Job
@@ -92,37 +96,41 @@ def hours(n_points: int, workers: int, point: float, overhead: float, parent: fl
     return n_points * max((point + overhead) / workers, parent) / 3600.0
 
 
-def main(address: str | None = None) -> None:
-    """Measure, and print what it comes to for `N_POINTS` points."""
+def measure(arguments: argparse.Namespace) -> None:
+    """Measure, print, and write the hours that `N_POINTS` points take."""
+    stem = common.results_stem([], "scaling")
     plan = make_plan(GRID)
     laps = {}
     for jobs in (1, 2):
-        _warm_up(jobs)
+        run(make_plan(_WARM), jobs)  # the workers start and compile, as in every sweep once
         laps[jobs] = run(plan, jobs)
     for jobs, lap in laps.items():
         _say(f"{jobs} worker(s)", lap, jobs)
     console.say(f"two workers are {laps[1].wall / laps[2].wall:.2f} times as fast as one")
     parent = laps[1].parent
-    if address is not None:
-        settings = ("parallel=dask", f"parallel.address={address}")
+    if arguments.address is not None:
+        settings = ("parallel=dask", f"parallel.address={arguments.address}")
         run(make_plan([*_WARM, *settings]), 1)
         lap = run(make_plan([*GRID, *settings]), 1)
-        _say(f"workers of {address}", lap, None)
+        _say(f"workers of {arguments.address}", lap, None)
         parent = lap.parent
     seconds, size = write_seconds(laps[1].rows)
     there, back = message_bytes(plan, laps[1].rows[0])
     console.say(f"store: {1 / seconds:.0f} rows a second, {size:.0f} bytes a row")
     console.say(f"messages: {there} bytes to a worker, {back} bytes back")
     console.say(f"{N_POINTS} points: {N_POINTS * size / 2**20:.0f} MiB of store")
-    overhead = laps[1].wall / len(laps[1].rows) - laps[1].point
-    for workers in (2, 16, 128, 1024):
-        taken = hours(N_POINTS, workers, laps[1].point, overhead, parent + seconds)
-        console.say(f"{N_POINTS} points on {workers} workers: {taken:.2f} hours")
+    point = laps[1].point
+    overhead = laps[1].wall / len(laps[1].rows) - point
+    paces = {w: hours(N_POINTS, w, point, overhead, parent + seconds) for w in (2, 16, 128, 1024)}
+    records = [{"points": N_POINTS, "workers": workers, "hours": pace} for workers, pace in paces.items()]
+    common.write(records, stem, f"hours of {N_POINTS} points", "extrapolated from one run")
 
 
-def _warm_up(jobs: int) -> None:
-    """Start the workers and let them compile, as every sweep does once."""
-    run(make_plan(_WARM), jobs)
+def main(argv: list[str]) -> int:
+    """Run the benchmark and return its exit code."""
+    parser = Parser(description=__doc__)
+    parser.add_argument("address", nargs="?", help="of a Dask scheduler, e.g. tcp://127.0.0.1:8786")
+    return common.run(measure, parser, argv)
 
 
 def _say(who: str, lap: Lap, jobs: int | None) -> None:
@@ -134,4 +142,4 @@ def _say(who: str, lap: Lap, jobs: int | None) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:2])
+    sys.exit(main(sys.argv[1:]))
