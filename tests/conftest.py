@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import spread
 
 from fracbench.commands.cli import EXIT_INPUT, main
 from fracbench.data.datasets import middlebury as middlebury_data
@@ -14,7 +15,7 @@ from fracbench.data.files import write_flo, write_image
 from fracbench.errors import DataError
 from fracbench.figures import cache as drawing
 from fracbench.figures import style
-from fracbench.harness.check import regression, spread, tolerances
+from fracbench.harness.check import regression, tolerances
 from fracbench.harness.run.store import Row
 from fracbench.model import SOLVER_VERSION
 

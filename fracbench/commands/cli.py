@@ -146,11 +146,7 @@ def _add_upkeep(add: _Add) -> None:
     check.add_argument("names", nargs="*", metavar="NAME", help="stored tables (default: all)")
     check.add_argument("--jobs", type=int, default=2, help="worker processes (default: 2)")
     check.add_argument("--update", action="store_true", help="rewrite the stored tables instead")
-    check.add_argument(
-        "--spread",
-        action="store_true",
-        help="measure how far the tables move where nothing changed; with --update, write the tolerances",
-    )
+    check.add_argument("--spread", action="store_true", help="moved to tools/spread.py of a checkout")
     check.add_argument("--reason", default="", help="why they change; recorded beside them")
     status = add("status", _status, "say what is done, failed, stale or missing, and which command goes on")
     status.add_argument("words", nargs="*", metavar="EXPERIMENT|KEY=VALUE", help="default: all; dataset=, paths.")
@@ -316,8 +312,7 @@ def _check(arguments: argparse.Namespace) -> int:
     from fracbench.commands import maintain as upkeep
 
     if arguments.spread:
-        upkeep.measure_spread(arguments.names, jobs=arguments.jobs, update=arguments.update)
-        return EXIT_DONE
+        raise InputError("check: --spread has moved: python tools/spread.py [NAME...] [--update], in a checkout")
     if arguments.update:
         upkeep.update_references(arguments.names, arguments.reason, jobs=arguments.jobs)
         return EXIT_DONE

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from fracbench.commands import console
 from fracbench.commands.run import require_workers
-from fracbench.errors import InputError, unknown_name
+from fracbench.errors import unknown_name
 from fracbench.harness.run.store import STORE
 
 if TYPE_CHECKING:
@@ -36,21 +36,20 @@ def check_references(names: Sequence[str], *, jobs: int) -> bool:
         An unknown name, or no table at all.
     """
     from fracbench.harness.check import regression, tolerances
-    from fracbench.harness.run.tidy import tidy
     from fracbench.model import SOLVER_VERSION
 
     require_workers(jobs)
-    wanted = _stored(names)
+    wanted = regression.wanted_tables(names)
     verdicts = []
     for name in wanted:
         plan = regression.plan_of(name)
         with console.progress(len(plan.unique()) if plan else 0, name) as advance:
-            verdicts.append(regression.check(name, jobs=jobs, tabulate=tidy, on_row=advance))
+            verdicts.append(regression.check(name, jobs=jobs, on_row=advance))
         say_verdict(verdicts[-1])
     compared = [verdict for verdict in verdicts if not verdict.skipped]
     old = tolerances.outdated((verdict.name for verdict in compared), SOLVER_VERSION)
-    if old:
-        console.note(f"note: the spread of {', '.join(old)} is not that of this solver: check --spread --update")
+    if names := ", ".join(old):
+        console.note(f"note: the spread of {names} is not that of this solver: python tools/spread.py --update")
     return bool(compared) and not any(verdict.differences for verdict in compared)
 
 
@@ -63,18 +62,6 @@ def say_verdict(verdict: Verdict, word: str = "holds") -> None:
     console.say(f"{verdict.name}: {came_to} ({verdict.cells} cells compared)")
     for difference in verdict.differences:
         console.say(f"  {difference}")
-
-
-def _stored(names: Sequence[str]) -> list[str]:
-    from fracbench.harness.check.regression import stored_tables
-
-    tables = stored_tables()
-    for name in names:
-        if name not in tables:
-            raise unknown_name("stored table", name, tables)
-    if not tables:
-        raise InputError("check: there is no stored table under results/reference")
-    return list(names) or tables
 
 
 def update_references(names: Sequence[str], reason: str, *, jobs: int) -> None:
@@ -95,46 +82,11 @@ def update_references(names: Sequence[str], reason: str, *, jobs: int) -> None:
         Anything that the user can put right; nothing is written then.
     """
     from fracbench.harness.check import regression
-    from fracbench.harness.run.tidy import tidy
 
     require_workers(jobs)
-    for name in list(names) or _stored(names):
-        for path in regression.update(name, reason, jobs=jobs, tabulate=tidy):
+    for name in list(names) or regression.wanted_tables(names):
+        for path in regression.update(name, reason, jobs=jobs):
             console.say(f"wrote {path}")
-
-
-def measure_spread(names: Sequence[str], *, jobs: int, update: bool) -> None:
-    """Measure how far stored tables move where nothing has changed, and print it.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Stored tables; all if empty, Middlebury's only where the data can be had.
-    jobs : int
-        Processes at a time.
-    update : bool
-        Write the spreads, and the tolerances that follow from them.
-
-    Raises
-    ------
-    InputError
-        An unknown name, data that cannot be had, no checkout to write to.
-    """
-    import pandas as pd
-
-    from fracbench.harness.check import regression, spread, tolerances
-    from fracbench.harness.run.tidy import tidy
-
-    require_workers(jobs)
-    if update:
-        regression.require_checkout()
-    wanted = list(_stored(names)) if names else [name for name in _stored(()) if regression.plan_of(name)]
-    with console.progress(len(wanted) * (len(spread.CIRCUMSTANCES) + 1), "spread") as advance:
-        measured = spread.measure(wanted, jobs=jobs, tabulate=tidy, on_done=advance)
-    records = [record for name, table in measured.items() for record in spread.summary(name, table)]
-    console.show_table(pd.DataFrame(records), "largest relative differences")
-    for path in tolerances.write(measured, regression.origin()) if update else ():
-        console.say(f"wrote {path}")
 
 
 def show_status(words: Sequence[str], *, as_json: bool) -> None:

@@ -20,7 +20,6 @@ from fracbench.commands.cli import EXIT_CHECK, EXIT_DONE, EXIT_FAILED, EXIT_INPU
 from fracbench.data.datasets import middlebury as middlebury_data
 from fracbench.data.files import read_flow, read_image
 from fracbench.evaluation.metrics import flow_errors
-from fracbench.harness.check import regression, spread, tolerances
 from fracbench.harness.check.tolerances import MEASURED
 from fracbench.harness.config.paths import asset
 from fracbench.harness.run import sweep as execute
@@ -448,29 +447,9 @@ def test_an_update_needs_a_reason(cli, project):
     assert tree(project) == before
 
 
-def test_the_spread_is_measured_and_the_tolerances_follow(cli, project, monkeypatch):
-    def answer(name, circumstance):
-        moved = 0.01 if circumstance.dtype else 0.0
-        result = {"aae": 0.1, "aepe": 0.2 + moved, "sdae": 0.3, "n_pixels": 1, "n_unknown": 0, "n_nonfinite": 0}
-        return dict.fromkeys(regression.plan_of(name).unique(), result)
-
-    cli("check", "mini", "--update", "--reason", "first")
-    monkeypatch.setattr(spread, "_in_a_process", answer)
-    before = tree(project)
-    said = cli("check", "--spread")
-    assert said.code == EXIT_DONE
-    assert re.search(r"mini +│ float64 +│ 0.0e\+00 │ 5.0e-02 │ 0.0e\+00", said.out)
-    assert tree(project) == before
-    said = cli("check", "--spread", "--update")
-    assert re.findall("wrote .*/(.*)", said.out) == ["mini.csv", "mini.json", "tolerances.toml"]
-    assert tolerances.load_tolerances().columns["aepe"].relative == pytest.approx(0.2)
-    assert cli("check").err == ""
-    assert cli("check", "nothing", "--spread").code == EXIT_INPUT
-
-
 def test_a_spread_that_was_not_measured_is_remarked_upon(cli, project):
     cli("check", "mini", "--update", "--reason", "first")
-    assert "the spread of mini is not that of this solver: check --spread --update" in cli("check").err
+    assert "the spread of mini is not that of this solver: python tools/spread.py --update" in cli("check").err
 
 
 def test_nothing_compared_is_no_success(cli, project, no_middlebury):

@@ -19,6 +19,7 @@ from fracbench.harness.run import provenance
 from fracbench.harness.run import sweep as execute
 from fracbench.harness.run.plan import Plan, plan_experiment
 from fracbench.harness.run.store import Row, Store
+from fracbench.harness.run.tidy import tidy
 from fracbench.model import SOLVER_VERSION
 
 if TYPE_CHECKING:
@@ -26,8 +27,6 @@ if TYPE_CHECKING:
 
 #: Columns that must be equal; those of `MEASURED` may differ within a tolerance.
 COUNTED = ("n_pixels", "n_unknown", "n_nonfinite", "status")
-
-Tabulate = Callable[[Plan, Mapping[str, Row]], "pd.DataFrame"]
 
 
 @dataclass(frozen=True)
@@ -72,7 +71,24 @@ def stored_tables() -> list[str]:
     return sorted({path.stem for pattern in ("*.csv", "*.json") for path in folder.glob(pattern)})
 
 
-def check(name: str, *, jobs: int, tabulate: Tabulate, on_row: Callable[[Row], None] | None = None) -> Verdict:
+def wanted_tables(names: Sequence[str]) -> list[str]:
+    """Return the stored tables of some names, all if there are no names.
+
+    Raises
+    ------
+    InputError
+        An unknown name, or no table at all.
+    """
+    tables = stored_tables()
+    for name in names:
+        if name not in tables:
+            raise unknown_name("stored table", name, tables)
+    if not tables:
+        raise InputError("check: there is no stored table under results/reference")
+    return list(names) or tables
+
+
+def check(name: str, *, jobs: int, on_row: Callable[[Row], None] | None = None) -> Verdict:
     """Recompute a stored table, all of it, and compare.
 
     Parameters
@@ -81,8 +97,6 @@ def check(name: str, *, jobs: int, tabulate: Tabulate, on_row: Callable[[Row], N
         A stored table: an experiment, with ``_synthetic`` behind it for the rendered scenes.
     jobs : int
         Worker processes.
-    tabulate : callable
-        Turns a plan and its rows into a tidy table.
     on_row : callable, optional
         Called with each computed row.
 
@@ -106,7 +120,7 @@ def check(name: str, *, jobs: int, tabulate: Tabulate, on_row: Callable[[Row], N
     if plan is None:
         return Verdict(name, skipped="the Middlebury data cannot be had here")
     stored = read_table(path)
-    found = reference_table(plan, recompute(plan, jobs, on_row), tabulate)
+    found = reference_table(plan, recompute(plan, jobs, on_row))
     return compare(name, stored, found, tolerances)
 
 
@@ -138,14 +152,14 @@ def recompute(plan: Plan, jobs: int, on_row: Callable[[Row], None] | None = None
         return execute.run(plan, store, jobs=jobs, on_row=on_row).rows
 
 
-def reference_table(plan: Plan, rows: Mapping[str, Row], tabulate: Tabulate) -> pd.DataFrame:
+def reference_table(plan: Plan, rows: Mapping[str, Row]) -> pd.DataFrame:
     """Return the columns of a tidy table that are stored: labels, swept keys, errors, counts; all as text.
 
     A cell that has no value is empty, such as alpha for a method without; rows then equal are one.
     """
     import pandas as pd
 
-    table = tabulate(plan, rows)
+    table = tidy(plan, rows)
     keys = _key_columns(plan, table)
     kept = table[[*keys, *MEASURED, *COUNTED]].copy()
     for column in MEASURED:
@@ -224,9 +238,7 @@ def _number(text: str) -> float:
         return math.nan
 
 
-def update(
-    name: str, reason: str, *, jobs: int, tabulate: Tabulate, on_row: Callable[[Row], None] | None = None
-) -> list[Path]:
+def update(name: str, reason: str, *, jobs: int, on_row: Callable[[Row], None] | None = None) -> list[Path]:
     """Rewrite a stored table, and record why.
 
     Parameters
@@ -235,7 +247,7 @@ def update(
         The stored table; a new one if there is an experiment of that name.
     reason : str
         Why the numbers may differ from now on.
-    jobs, tabulate, on_row
+    jobs, on_row
         See `check`.
 
     Returns
@@ -266,7 +278,7 @@ def update(
         )
     entries.append(_entry(reason, next(iter(rows.values()))))
     contents = {
-        folder / f"{name}.csv": reference_table(plan, rows, tabulate).to_csv(index=False, lineterminator="\n"),
+        folder / f"{name}.csv": reference_table(plan, rows).to_csv(index=False, lineterminator="\n"),
         folder / f"{name}.json": json.dumps(entries, indent=2, sort_keys=True) + "\n",
     }
     for path, text in contents.items():

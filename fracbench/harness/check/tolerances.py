@@ -1,7 +1,7 @@
 """How far a recomputed cell may be from the stored one: ``results/reference/tolerances.toml``.
 
 Its numbers follow, by the rule of `derive`, from the spreads under ``results/reference/spread``, which
-`fracbench.harness.check.spread` measures; nothing in it is typed by hand but the reasons.
+``tools/spread.py`` measures; nothing in it is typed by hand but the reasons.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _HEAD = """\
 # absolute + relative * |stored|. Counts must be equal.
 # `basis` says what the number rests on; `reason` says why a difference of that size is no change.
 # [[cell]]: cells of the stored tables that need a wider tolerance than their column.
-# Written by `fracbench check --spread --update`, which measures the spreads under spread/; only the reasons
+# Written by `python tools/spread.py --update`, which measures the spreads under spread/; only the reasons
 # are typed, and stay.
 """
 _FORM = "each of {} needs absolute, relative, basis, reason, and each [[cell]] table, row, column, relative"
@@ -140,7 +140,7 @@ def load_spreads() -> dict[str, pd.DataFrame]:
         except (OSError, ValueError, KeyError) as exc:
             why = " ".join(str(exc).split())
             raise InputError(
-                f"{path}: no table of spreads ({why}); `fracbench check --spread --update` writes it"
+                f"{path}: no table of spreads ({why}); `python tools/spread.py --update` writes it"
             ) from exc
         found[path.stem] = table
     return found

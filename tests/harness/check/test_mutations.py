@@ -23,7 +23,6 @@ from fracbench.harness.run import compute_point as task
 from fracbench.harness.run.plan import Plan, PlannedPoint
 from fracbench.harness.run.point import Point
 from fracbench.harness.run.store import Row
-from fracbench.harness.run.tidy import tidy
 from fracbench.model import SOLVER_VERSION
 from fracbench.model.operators import zero as fractional
 
@@ -80,7 +79,7 @@ def checked(monkeypatch) -> Callable[..., Verdict]:
         monkeypatch.setattr(regression, "plan_of", plan)
         monkeypatch.setattr(regression, "read_table", stored)
         monkeypatch.setattr(regression, "recompute", recompute)
-        return check(name, jobs=1, tabulate=tidy)
+        return check(name, jobs=1)
 
     return run
 

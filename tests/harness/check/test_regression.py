@@ -12,7 +12,6 @@ from fracbench.harness.check import regression
 from fracbench.harness.check.regression import COUNTED, check, compare, update
 from fracbench.harness.check.tolerances import MEASURED, Tolerance, Tolerances
 from fracbench.harness.run.plan import make_plan
-from fracbench.harness.run.tidy import tidy
 from fracbench.model import SOLVER_VERSION
 
 GRID = (
@@ -58,11 +57,11 @@ def write_experiment(work, theta, name="mini", grid=GRID):
 
 
 def store_table(name="mini", reason="first"):
-    return update(name, reason, jobs=2, tabulate=tidy)
+    return update(name, reason, jobs=2)
 
 
 def recheck(name="mini"):
-    return check(name, jobs=2, tabulate=tidy)
+    return check(name, jobs=2)
 
 
 def files(folder) -> list[str]:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import json
 import math
+import re
 
 import pytest
-
-from fracbench.errors import FracbenchError, InputError
-from fracbench.harness.check import regression, spread
-from fracbench.harness.check.spread import (
+import spread
+from spread import (
     CIRCUMSTANCES,
     USUAL,
     Circumstance,
@@ -18,10 +17,12 @@ from fracbench.harness.check.spread import (
     spreads,
     summary,
 )
+
+from fracbench.errors import FracbenchError, InputError
+from fracbench.harness.check import regression, tolerances
 from fracbench.harness.run.compute_point import run_point
 from fracbench.harness.run.plan import make_plan
 from fracbench.harness.run.provenance import machine
-from fracbench.harness.run.tidy import tidy
 from fracbench.model import SOLVER_VERSION
 
 GRID = ["sequence=synthetic_flat", "n_scales=1", "n_warps=1", "max_iter=3", "method=tvl1_sb_alpha", "alpha=0.5,1"]
@@ -78,7 +79,7 @@ def test_rows_are_called_as_in_the_check(mini, monkeypatch):
 
     monkeypatch.setattr(spread, "_in_a_process", answer)
     done = []
-    table = measure(["mini"], jobs=2, tabulate=tidy, on_done=done.append)["mini"]
+    table = measure(["mini"], jobs=2, on_done=done.append)["mini"]
     assert sorted(asked) == sorted(one.name for one in (USUAL, *CIRCUMSTANCES))
     assert len(done) == len(asked)
     assert table["row"].unique().tolist() == [
@@ -116,13 +117,13 @@ def test_what_is_stored_from_another_processor(reference, record, found):
 def test_a_table_that_cannot_be_computed_at_all_is_an_error(mini, monkeypatch):
     monkeypatch.setattr(spread, "_in_a_process", lambda *_: None)
     with pytest.raises(FracbenchError, match="even under the usual circumstances"):
-        measure(["mini"], jobs=1, tabulate=tidy)
+        measure(["mini"], jobs=1)
 
 
 def test_a_table_without_its_data_is_refused(monkeypatch):
     monkeypatch.setattr(spread, "plan_of", lambda name: None)
     with pytest.raises(InputError, match="table2: the Middlebury data cannot be had here"):
-        measure(["table2"], jobs=1, tabulate=tidy)
+        measure(["table2"], jobs=1)
 
 
 def test_the_usual_circumstances_are_those_of_the_check():
@@ -168,9 +169,53 @@ def test_a_process_takes_on_its_circumstance(monkeypatch):
     monkeypatch.setattr(spread.subprocess, "run", call)
     haswell = next(one for one in CIRCUMSTANCES if one.kernel == "Haswell")
     assert spread._in_a_process(name, haswell) == {}
-    assert calls["command"][1:] == ["-m", "fracbench.harness.check.spread", name, "1", "", "0.0"]
+    assert calls["command"][1:] == [spread.__file__, "--answer", name, "1", "", "0.0"]
     assert calls["env"]["OPENBLAS_CORETYPE"] == "Haswell" and calls["env"]["OPENBLAS_NUM_THREADS"] == "1"
     nehalem = next(one for one in CIRCUMSTANCES if one.kernel == "Nehalem")
     assert spread._in_a_process(name, nehalem) is None
     Done.returncode = -4
     assert spread._in_a_process(name, haswell) is None
+
+
+def test_the_spread_is_measured_and_the_tolerances_follow(work, tiny, reference, capsys, monkeypatch):
+    grid = ", ".join([*tiny, "'alpha=0.5,1'"])
+    (work / "experiments").mkdir()
+    (work / "experiments" / "mini.yaml").write_text(f"title: Mini\ngrid: [{grid}]\n")
+    tolerance = 'absolute = 1e-6\nrelative = 1e-3\nbasis = "b"\nreason = "r"\n'
+    (reference / "tolerances.toml").write_text("".join(f"[{name}]\n{tolerance}" for name in tolerances.MEASURED))
+    (reference / "mini.csv").write_text("sequence,aae,aepe,sdae\n")
+
+    def answer(name, circumstance):
+        moved = 0.0005 if circumstance.dtype else 0.0
+        result = {"aae": 0.1, "aepe": 0.2 + moved, "sdae": 0.3, "n_pixels": 1, "n_unknown": 0, "n_nonfinite": 0}
+        return dict.fromkeys(regression.plan_of(name).unique(), result)
+
+    monkeypatch.setattr(spread, "_in_a_process", answer)
+    before = sorted(reference.rglob("*"))
+    assert spread.main([]) == 0
+    assert re.search(r"mini +│ float64 +│ 0.0e\+00 │ 2.5e-03 │ 0.0e\+00", capsys.readouterr().out)
+    assert sorted(reference.rglob("*")) == before
+    assert spread.main(["mini", "--update"]) == 0
+    out = capsys.readouterr().out
+    assert re.findall("wrote .*/(.*)", out) == ["mini.csv", "mini.json", "tolerances.toml"]
+    assert tolerances.load_tolerances().columns["aepe"].relative == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize(
+    ("argv", "named"),
+    [
+        (["tabel2"], "unknown stored table 'tabel2': did you mean 'table2'?"),
+        (["--jobs", "0"], "--jobs must be at least 1"),
+        (["--updat"], "did you mean --update?"),
+    ],
+)
+def test_bad_input_is_one_line(argv, named, capsys):
+    assert spread.main(argv) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert named in line
+
+
+def test_the_check_names_the_tool(cli):
+    said = cli("check", "--spread", "table2")
+    assert said.code == 2
+    assert "python tools/spread.py [NAME...] [--update]" in said.err and len(said.err.splitlines()) == 1

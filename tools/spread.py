@@ -1,4 +1,4 @@
-"""How far the stored numbers move where nothing has changed: the basis of the tolerances.
+"""Measure how far the stored numbers move where nothing has changed: the basis of the tolerances.
 
 A stored table is computed under circumstances that must not matter: more threads, double precision, BLAS
 kernels and compiled loops for other processors, a parameter moved by some units in its last place. Each is a
@@ -8,6 +8,7 @@ one more.
 
 from __future__ import annotations
 
+import argparse
 import json
 import math
 import os
@@ -16,17 +17,22 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from fracbench.commands import console
+from fracbench.commands.parser import Parser
+from fracbench.commands.run import require_workers
 from fracbench.errors import FracbenchError, InputError
+from fracbench.harness.check import regression, tolerances
 from fracbench.harness.check.regression import (
-    Tabulate,
     by_label,
     history,
     key_columns,
     plan_of,
     read_table,
     reference_table,
+    wanted_tables,
 )
 from fracbench.harness.check.tolerances import MEASURED
 from fracbench.harness.config.paths import asset
@@ -69,7 +75,8 @@ class Circumstance:
     nudge: float = 0.0
 
 
-#: What `fracbench check` itself computes under.
+_ANSWER = "--answer"  # in a process of a circumstance
+#: The circumstances of `fracbench check`.
 USUAL = Circumstance("usual")
 CIRCUMSTANCES = (
     Circumstance("two threads", threads=2),
@@ -85,7 +92,7 @@ CIRCUMSTANCES = (
 
 
 def measure(
-    names: Sequence[str], *, jobs: int, tabulate: Tabulate, on_done: Callable[[Any], None] | None = None
+    names: Sequence[str], *, jobs: int, on_done: Callable[[Any], None] | None = None
 ) -> dict[str, pd.DataFrame]:
     """Measure the spread of stored tables.
 
@@ -95,8 +102,6 @@ def measure(
         Stored tables, whose data can be had.
     jobs : int
         Processes at a time.
-    tabulate : callable
-        Turns a plan and its rows into a tidy table.
     on_done : callable, optional
         Called with each finished pair of table and circumstance.
 
@@ -118,7 +123,7 @@ def measure(
         results = _in_a_process(*pair)
         if on_done is not None:
             on_done(pair)
-        return None if results is None else _labelled(plans[pair[0]], results, tabulate)
+        return None if results is None else _labelled(plans[pair[0]], results)
 
     with ThreadPoolExecutor(jobs) as pool:
         done = list(zip(pairs, pool.map(work, pairs), strict=True))
@@ -206,7 +211,7 @@ def require_plan(name: str) -> Plan:
     return plan
 
 
-def _labelled(plan: Plan, results: Results, tabulate: Tabulate) -> dict[str, dict[str, str]]:
+def _labelled(plan: Plan, results: Results) -> dict[str, dict[str, str]]:
     """Return the cells of a table under the labels that `fracbench check` gives its rows."""
     rows = {
         key: Row(
@@ -219,7 +224,7 @@ def _labelled(plan: Plan, results: Results, tabulate: Tabulate) -> dict[str, dic
         )
         for key, point in plan.unique().items()
     }
-    table = reference_table(plan, rows, tabulate)
+    table = reference_table(plan, rows)
     return by_label(table, key_columns(table))
 
 
@@ -228,8 +233,8 @@ def _in_a_process(name: str, circumstance: Circumstance) -> Results | None:
     limits = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     command = [
         sys.executable,
-        "-m",
-        "fracbench.harness.check.spread",
+        str(Path(__file__).resolve()),
+        _ANSWER,
         name,
         str(circumstance.threads),
         circumstance.dtype,
@@ -294,5 +299,47 @@ def _answer(name: str, threads: str, dtype: str, nudge: str) -> None:
     print(json.dumps({"kernels": [pool.get("architecture") for pool in threadpool_info()], "results": results}))
 
 
+def report(arguments: argparse.Namespace) -> None:
+    """Measure stored tables and print their spreads; with ``--update``, write them and the tolerances.
+
+    Raises
+    ------
+    InputError
+        An unknown name, data that cannot be had, no checkout to write to.
+    """
+    import pandas as pd
+
+    require_workers(arguments.jobs)
+    if arguments.update:
+        regression.require_checkout()
+    names = wanted_tables(arguments.names)
+    if not arguments.names:
+        names = [name for name in names if plan_of(name)]
+    with console.progress(len(names) * (len(CIRCUMSTANCES) + 1), "spread") as advance:
+        measured = measure(names, jobs=arguments.jobs, on_done=advance)
+    records = [record for name, table in measured.items() for record in summary(name, table)]
+    console.show_table(pd.DataFrame(records), "largest relative differences")
+    for path in tolerances.write(measured, regression.origin()) if arguments.update else ():
+        console.say(f"wrote {path}")
+
+
+def main(argv: list[str]) -> int:
+    """Run the tool and return its exit code: 0 done, 2 bad input."""
+    if argv[:1] == [_ANSWER]:
+        _answer(*argv[1:])
+        return 0
+    parser = Parser(description=__doc__)
+    parser.set_defaults(parser=parser)
+    parser.add_argument("names", nargs="*", metavar="NAME", help="stored tables (default: all with data here)")
+    parser.add_argument("--update", action="store_true", help="write the spreads and the tolerances")
+    parser.add_argument("--jobs", type=int, default=2, help="processes at a time (default: 2)")
+    try:
+        report(parser.parse_words(argv))
+    except FracbenchError as exc:
+        console.complain(" ".join(str(exc).splitlines()))
+        return 2
+    return 0
+
+
 if __name__ == "__main__":
-    _answer(*sys.argv[1:])
+    sys.exit(main(sys.argv[1:]))
