@@ -11,7 +11,7 @@ from fracbench.methods.paper import split_bregman, v_step
 from fracbench.model import pyramid
 from fracbench.model.coarse_to_fine import FlowResult, check_frames, coarse_to_fine
 from fracbench.model.data_terms.choose import residual_factory
-from fracbench.model.flow_filters import refiner
+from fracbench.model.flow_filters import flow_filter
 from fracbench.model.kernels.arrays import Array
 from fracbench.model.operators.alpha_map import MappedGradient
 from fracbench.model.params import FlowParams
@@ -35,7 +35,7 @@ def tvl1_sb_alpha_map(frame0: Array, frame1: Array, params: FlowParams, *, trace
         _by_class,
         _v_step,
         make_residual=residual_factory(frame0, frame1, params),
-        make_refiner=refiner,
+        make_flow_filter=flow_filter,
         method="tvl1_sb_alpha_map",
         trace=trace,
     )

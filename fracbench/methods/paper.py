@@ -11,8 +11,8 @@ from fracbench.model.coarse_to_fine import FlowResult, coarse_to_fine
 from fracbench.model.energy import regularity
 from fracbench.model.kernels.arrays import Array
 from fracbench.model.operators.base import GradientOperator
-from fracbench.model.operators.forward import NaturalGradient
-from fracbench.model.operators.zero import make_operator
+from fracbench.model.operators.choose import make_operator
+from fracbench.model.operators.forward import ForwardDifferences
 from fracbench.model.params import FlowParams
 from fracbench.model.regularizers import Regularizer, SplitBregman, TVDual
 from fracbench.model.v_steps import MultiplierStep, PenaltyStep, VStep
@@ -43,7 +43,7 @@ def _tv_dual(params: FlowParams, frame0: Array) -> Regularizer:
 
 
 def _split_bregman(params: FlowParams, frame0: Array) -> Regularizer:
-    return split_bregman(_natural(params, frame0), params)
+    return split_bregman(_forward_differences(params, frame0), params)
 
 
 def split_bregman_alpha(params: FlowParams, frame0: Array) -> Regularizer:
@@ -51,8 +51,8 @@ def split_bregman_alpha(params: FlowParams, frame0: Array) -> Regularizer:
     return split_bregman(_fractional(params, frame0), params)
 
 
-def _natural(params: FlowParams, frame0: Array) -> GradientOperator:
-    return NaturalGradient(1.0, _shape(frame0), frame0.dtype)
+def _forward_differences(params: FlowParams, frame0: Array) -> GradientOperator:
+    return ForwardDifferences(1.0, _shape(frame0), frame0.dtype)
 
 
 def _fractional(params: FlowParams, frame0: Array) -> GradientOperator:
@@ -79,7 +79,7 @@ def split_bregman(operator: GradientOperator, params: FlowParams) -> SplitBregma
     )
 
 
-_GRADIENTS = {"tvl1": _natural, "tvl1_sb": _natural, "tvl1_sb_alpha": _fractional}
+_GRADIENTS = {"tvl1": _forward_differences, "tvl1_sb": _forward_differences, "tvl1_sb_alpha": _fractional}
 
 
 def energy_growth(

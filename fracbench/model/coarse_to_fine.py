@@ -12,16 +12,16 @@ from fracbench.errors import InputError
 from fracbench.model import pyramid
 from fracbench.model.data_terms.brightness import Brightness, Residual
 from fracbench.model.kernels.arrays import Array, aligned
-from fracbench.model.kernels.threads import each, worth_threads
+from fracbench.model.kernels.threads import parallel_map, worth_threads
 from fracbench.model.params import FlowParams
 from fracbench.model.regularizers import Regularizer
-from fracbench.model.single_level import LevelReport, Stopwatch, solve_level
+from fracbench.model.single_level import LevelReport, Stopwatch, solve_single_level
 from fracbench.model.v_steps import PenaltyStep, VStep
 
 RegularizerFactory = Callable[[FlowParams, Array], Regularizer]
 VStepFactory = Callable[[Array, FlowParams], VStep]
 ResidualFactory = Callable[[Array, Array, FlowParams], Residual]
-RefinerFactory = Callable[[Array, Array, FlowParams], Callable[[Array], Array] | None]
+FlowFilterFactory = Callable[[Array, Array, FlowParams], Callable[[Array], Array] | None]
 
 
 @dataclass
@@ -79,7 +79,7 @@ def coarse_to_fine(
     make_v_step: VStepFactory = PenaltyStep,
     *,
     make_residual: ResidualFactory = Brightness,
-    make_refiner: RefinerFactory | None = None,
+    make_flow_filter: FlowFilterFactory | None = None,
     method: str = "",
     trace: bool = False,
 ) -> FlowResult:
@@ -97,7 +97,7 @@ def coarse_to_fine(
         Gives the v-step for a scale: the paper's by default.
     make_residual : callable, optional
         Gives the data of a scale, from both frames there: the paper's by default.
-    make_refiner : callable, optional
+    make_flow_filter : callable, optional
         Gives what becomes of the flow after each warp, from both frames at a scale: nothing by default.
     method : str, optional
         Name for the result.
@@ -118,7 +118,7 @@ def coarse_to_fine(
     watch = Stopwatch()
     dtype = np.dtype(params.dtype)
     shapes = pyramid.scale_shapes(frame0.shape, params.eta, params.n_scales)
-    pyramids = each(
+    pyramids = parallel_map(
         lambda frame: pyramid.build(pyramid.smooth(frame, params.presmoothing), shapes, params.eta),
         pyramid.stretch(frame0, frame1, dtype),
     )
@@ -132,14 +132,14 @@ def coarse_to_fine(
             frames = pyramids[0].pop(), pyramids[1].pop()
             residual, v_step = make_residual(*frames, params), make_v_step(flow, params)
             regularizer = make_regularizer(params, frames[0])
-            refine = make_refiner(*frames, params) if make_refiner else None
+            filter_flow = make_flow_filter(*frames, params) if make_flow_filter else None
             del frames  # whoever needs one has it
             watch.lap("setup")
-            flow, report = solve_level(
-                residual, flow, params, regularizer, v_step, watch, refine=refine, trace=trace
+            flow, report = solve_single_level(
+                residual, flow, params, regularizer, v_step, watch, filter_flow=filter_flow, trace=trace
             )
             levels.append(report)
-            del residual, v_step, regularizer, refine  # before those of the next scale are made
+            del residual, v_step, regularizer, filter_flow  # before those of the next scale are made
     return FlowResult(
         np.asarray(flow, np.float32), method, params, levels, dict(watch.seconds), _notices(params, shapes)
     )

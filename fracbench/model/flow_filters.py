@@ -11,13 +11,13 @@ import scipy.ndimage
 from fracbench.model.data_terms.occlusion import Visibility, slope
 from fracbench.model.kernels.arrays import Array
 from fracbench.model.kernels.jit import jit
-from fracbench.model.kernels.threads import share
+from fracbench.model.kernels.threads import parallel_for
 from fracbench.model.params import FlowParams
 
 #: Standard deviations of a neighbour's weight: distance in pixels, difference in gray levels (Sun et al. 2014).
-DISTANCE, LIKENESS = 7.0, 7.0
+SIGMA_DISTANCE, SIGMA_GRAY = 7.0, 7.0
 #: A neighbour that differs by more gray levels than this has no weight.
-FAR = 3.0 * LIKENESS
+MAX_GRAY_DIFFERENCE = 3.0 * SIGMA_GRAY
 #: A pixel is near a motion edge if the flow changes by more than this, pixels a pixel, within `REACH` pixels.
 MOTION_EDGE, REACH = 0.1, 4
 
@@ -95,10 +95,10 @@ def weighted_median(
             for p in range(max(0, i - radius), min(height, i + radius + 1)):
                 for q in range(max(0, j - radius), min(width, j + radius + 1)):
                     gray = guide[p, q] - guide[i, j]
-                    if abs(gray) > FAR or trust[p, q] <= 0.0:
+                    if abs(gray) > MAX_GRAY_DIFFERENCE or trust[p, q] <= 0.0:
                         continue
-                    away = ((p - i) ** 2 + (q - j) ** 2) / (2.0 * DISTANCE**2)
-                    weight = trust[p, q] * math.exp(-away - gray * gray / (2.0 * LIKENESS**2))
+                    away = ((p - i) ** 2 + (q - j) ** 2) / (2.0 * SIGMA_DISTANCE**2)
+                    weight = trust[p, q] * math.exp(-away - gray * gray / (2.0 * SIGMA_GRAY**2))
                     for c in range(2):
                         values[c, count], weights[c, count] = flow[c, p, q], weight
                     total += weight
@@ -141,7 +141,7 @@ def _select(values: Array, weights: Array, count: int, wanted: float) -> float:
     return values[min(low, count - 1)]
 
 
-def refiner(frame0: Array, frame1: Array, params: FlowParams) -> Callable[[Array], Array] | None:
+def flow_filter(frame0: Array, frame1: Array, params: FlowParams) -> Callable[[Array], Array] | None:
     """Return the filter of the flow that `params` ask for, or None."""
     wanted = params.median_radius or params.weighted_radius
     return FlowFilter(frame0, frame1, params) if wanted else None
@@ -171,5 +171,5 @@ class FlowFilter:
         trust = np.ones_like(flow[0]) if self._visibility is None else self._visibility.of(flow)
         near = motion_edges(plain)
         arrays = flow, self._guide, trust, near, self._weighted, plain
-        share(lambda a, b: weighted_median(*arrays, a, b), len(near))
+        parallel_for(lambda a, b: weighted_median(*arrays, a, b), len(near))
         return plain

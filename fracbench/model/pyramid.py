@@ -8,7 +8,7 @@ import numpy as np
 
 from fracbench.model.kernels.arrays import Array, aligned
 from fracbench.model.kernels.jit import jit
-from fracbench.model.kernels.threads import each
+from fracbench.model.kernels.threads import parallel_map
 from fracbench.model.warping import resize
 
 #: sigma_0 of section 3.4: blur of the unit-scale image from which sigma(eta) follows.
@@ -180,5 +180,5 @@ def upsample_flow(flow: Array, shape: tuple[int, int], gain: float | None = None
     """
     ratios = (shape[1] / flow.shape[2], shape[0] / flow.shape[1]) if gain is None else (gain, gain)
     fine = aligned((2, *shape), flow.dtype)
-    each(lambda c: np.multiply(resize(flow[c], shape), flow.dtype.type(ratios[c]), out=fine[c]), range(2))
+    parallel_map(lambda c: np.multiply(resize(flow[c], shape), flow.dtype.type(ratios[c]), out=fine[c]), range(2))
     return fine

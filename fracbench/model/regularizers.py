@@ -14,9 +14,9 @@ from fracbench.model.data_terms.occlusion import slope
 from fracbench.model.kernels.arrays import Array, aligned
 from fracbench.model.kernels.jit import jit
 from fracbench.model.kernels.pointwise import bregman_update, mean_squared_change, shrink_difference
-from fracbench.model.kernels.threads import count, each, share
+from fracbench.model.kernels.threads import count, parallel_for, parallel_map
 from fracbench.model.operators.base import GradientOperator
-from fracbench.model.operators.forward import NaturalGradient
+from fracbench.model.operators.forward import ForwardDifferences
 from fracbench.model.sweeps import (
     gauss_seidel_dense,
     gauss_seidel_natural,
@@ -60,7 +60,7 @@ class TVDual:
     """
 
     def __init__(self, shape: tuple[int, int], theta: float, tau: float, dtype: np.dtype | type) -> None:
-        self.operator: GradientOperator = NaturalGradient(1.0, shape, dtype)
+        self.operator: GradientOperator = ForwardDifferences(1.0, shape, dtype)
         self._theta = theta
         self._step = tau / theta
         self._p = np.zeros((2, 2, *shape), dtype)
@@ -76,7 +76,7 @@ class TVDual:
             dual_primal(v[component], self._p[component], self._theta, out[component])
             dual_ascent(out[component], self._step, self._p[component])
 
-        each(take, range(2))
+        parallel_map(take, range(2))
         return 1
 
 
@@ -142,7 +142,7 @@ class SplitBregman:
     Parameters
     ----------
     operator : GradientOperator
-        The gradient; `NaturalGradient` makes it Algorithm 3, the others Algorithm 4.
+        The gradient; `ForwardDifferences` makes it Algorithm 3, the others Algorithm 4.
     theta, mu : float
         Tightness of the coupling of u and v, and split Bregman parameter lambda_sb.
     u_solver : {'exact', 'gauss_seidel', 'jacobi'}
@@ -187,7 +187,7 @@ class SplitBregman:
         self._z = aligned((2, *operator.range_shape), operator.dtype)
         self._w = [aligned(operator.range_shape, operator.dtype)]  # by turns d - b and D u
         self._started = [False, False]
-        self._fused = u_solver == "gauss_seidel" and isinstance(operator, NaturalGradient)
+        self._fused = u_solver == "gauss_seidel" and isinstance(operator, ForwardDifferences)
         if u_solver == "exact":
             self._system = operator.factor(theta, mu)
         elif not self._fused:
@@ -202,7 +202,7 @@ class SplitBregman:
         """Take one warm step, or iterate from a cold start; see `Regularizer.step`."""
         if count() > 1 and len(self._w) == 1:  # both components at once
             self._w.append(aligned(self._w[0].shape, self._w[0].dtype))
-        inner = each(lambda c: self._take_component(c, v[c], u[c], out[c]), range(2))
+        inner = parallel_map(lambda c: self._take_component(c, v[c], u[c], out[c]), range(2))
         return sum(inner) if self._cold else 1
 
     def _take_component(self, component: int, v: Array, u: Array, out: Array) -> int:
@@ -244,9 +244,9 @@ class SplitBregman:
             self._started[component] = True
             self.operator.differentiate(u, z)
             gamma = self._least  # all of z is d, and b = 0
-        share(lambda a, b: shrink_difference(z, gamma, w, a, b), w.shape[2])
+        parallel_for(lambda a, b: shrink_difference(z, gamma, w, a, b), w.shape[2])
         self._u_step(v, w, u)
-        share(lambda a, b: bregman_update(w, gamma, relaxation, z, a, b), w.shape[2])
+        parallel_for(lambda a, b: bregman_update(w, gamma, relaxation, z, a, b), w.shape[2])
 
     def _u_step(self, v: Array, w: Array, u: Array) -> None:
         """Replace d - b in `w` by the derivatives of the next u."""

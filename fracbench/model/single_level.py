@@ -58,7 +58,7 @@ class Stopwatch:
         self._last = now
 
 
-def solve_level(
+def solve_single_level(
     residual: Residual,
     u: Array,
     params: FlowParams,
@@ -66,7 +66,7 @@ def solve_level(
     v_step: VStep,
     watch: Stopwatch,
     *,
-    refine: Callable[[Array], Array] | None = None,
+    filter_flow: Callable[[Array], Array] | None = None,
     trace: bool = False,
 ) -> tuple[Array, LevelReport]:
     """Run Algorithm 2 at one scale.
@@ -85,7 +85,7 @@ def solve_level(
         The v-step.
     watch : Stopwatch
         Adds up seconds by phase.
-    refine : callable, optional
+    filter_flow : callable, optional
         What becomes of the flow after each warp, e.g. a median filter.
     trace : bool, optional
         Record the energy after each iteration (slow).
@@ -111,8 +111,8 @@ def solve_level(
         watch.lap("solving")
         if report.stop[-1] == "diverged":
             break
-        if refine is not None:
-            u = refine(u)
+        if filter_flow is not None:
+            u = filter_flow(u)
             watch.lap("filtering")
     return u, report
 

@@ -10,7 +10,7 @@ from fracbench.errors import InputError
 from fracbench.model.kernels.arrays import Array, aligned
 from fracbench.model.kernels.jit import jit
 from fracbench.model.kernels.pointwise import GRADIENT_IS_ZERO, coupled_threshold, threshold
-from fracbench.model.kernels.threads import LEAST_LIGHT_LINES, share
+from fracbench.model.kernels.threads import LEAST_LIGHT_LINES, parallel_for
 from fracbench.model.params import FlowParams
 from fracbench.model.warping import Linearization
 
@@ -87,7 +87,9 @@ class MultiplierStep:
         p = self._params
         settings = p.lambda_, p.theta, p.coupling_step, self._relaxation()
         state = self._c, self._target
-        share(lambda a, b: coupled_threshold(u, *linear, *settings, *state, a, b), u.shape[1], LEAST_LIGHT_LINES)
+        parallel_for(
+            lambda a, b: coupled_threshold(u, *linear, *settings, *state, a, b), u.shape[1], LEAST_LIGHT_LINES
+        )
         return self._target
 
     def _relaxation(self) -> float:
@@ -97,7 +99,7 @@ class MultiplierStep:
 
 
 #: Rounds over the channels in a v-step; it starts where the last one ended.
-ROUNDS = 2
+DUAL_SWEEPS = 2
 
 
 class ChannelStep(MultiplierStep):
@@ -121,7 +123,7 @@ class ChannelStep(MultiplierStep):
         data = u, *linear, self._lambdas
         settings = self._params.theta, self._params.coupling_step, self._relaxation()
         state = self._duals, self._c, self._target
-        share(lambda a, b: coupled_thresholds(*data, *settings, *state, ROUNDS, a, b), u.shape[1])
+        parallel_for(lambda a, b: coupled_thresholds(*data, *settings, *state, DUAL_SWEEPS, a, b), u.shape[1])
         return self._target
 
 
@@ -137,7 +139,7 @@ def coupled_thresholds(
     duals: Array,
     c: Array,
     target: Array,
-    rounds: int,
+    sweeps: int,
     start: int,
     stop: int,
 ) -> None:
@@ -161,7 +163,7 @@ def coupled_thresholds(
         ``p_k``, overwritten by the next.
     c, target : ndarray, shape (2, H, W)
         See `fracbench.model.kernels.pointwise.coupled_threshold`.
-    rounds : int
+    sweeps : int
         How often each dual is renewed.
     start, stop : int
         The rows of the image to take.
@@ -178,7 +180,7 @@ def coupled_thresholds(
             for k in range(lambdas.size):
                 move1 -= tau * duals[k, i, j] * gradient[k, 0, i, j]
                 move2 -= tau * duals[k, i, j] * gradient[k, 1, i, j]
-            for _ in range(rounds):
+            for _ in range(sweeps):
                 for k in range(lambdas.size):
                     gx, gy, old, new = gradient[k, 0, i, j], gradient[k, 1, i, j], duals[k, i, j], 0.0
                     g2 = gx * gx + gy * gy

@@ -7,7 +7,10 @@ import pytest
 import reference_impl as ref
 
 from fracbench.model.energy import attachment, coupling, energy, regularity
-from fracbench.model.operators.zero import NaturalGradient, ReflectGradient, ZeroGradient, make_operator
+from fracbench.model.operators.choose import make_operator
+from fracbench.model.operators.forward import ForwardDifferences
+from fracbench.model.operators.reflect import ReflectGradient
+from fracbench.model.operators.zero import ZeroGradient
 from fracbench.model.warping import Linearization
 
 CASES = [
@@ -31,7 +34,7 @@ def rng():
 def test_regularity_by_hand():
     bump = np.array([[0.0, 1.0], [0.0, 0.0]])
     # forward differences: (1, 0) at (0, 0), (., -1) at (0, 1), nothing below
-    assert regularity(NaturalGradient(1.0, (2, 2)), bump) == pytest.approx(2.0)
+    assert regularity(ForwardDifferences(1.0, (2, 2)), bump) == pytest.approx(2.0)
     # backward differences of u extended by 0: (1, 1) at (0, 1), (0, -1) below it
     assert regularity(ZeroGradient(1.0, (2, 2)), bump) == pytest.approx(math.sqrt(2.0) + 1.0)
     # and with one line of padding (-1, .) to the right of it

@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from fracbench.model.data_terms.occlusion import DIVERGENCE, RESIDUAL, visibility
-from fracbench.model.flow_filters import DISTANCE, FAR, LIKENESS, REACH, median, motion_edges, weighted_median
+from fracbench.model.flow_filters import (
+    MAX_GRAY_DIFFERENCE,
+    REACH,
+    SIGMA_DISTANCE,
+    SIGMA_GRAY,
+    median,
+    motion_edges,
+    weighted_median,
+)
 
 
 @pytest.fixture
@@ -32,9 +40,9 @@ def literal(flow, guide, trust, i, j, radius):
     around = neighbours(i, j, radius, guide.shape)
     weights = [
         trust[p, q]
-        * math.exp(-((p - i) ** 2 + (q - j) ** 2) / (2 * DISTANCE**2))
-        * math.exp(-((guide[p, q] - guide[i, j]) ** 2) / (2 * LIKENESS**2))
-        * (abs(guide[p, q] - guide[i, j]) <= FAR)
+        * math.exp(-((p - i) ** 2 + (q - j) ** 2) / (2 * SIGMA_DISTANCE**2))
+        * math.exp(-((guide[p, q] - guide[i, j]) ** 2) / (2 * SIGMA_GRAY**2))
+        * (abs(guide[p, q] - guide[i, j]) <= MAX_GRAY_DIFFERENCE)
         for p, q in around
     ]
     result = []
@@ -72,7 +80,8 @@ def test_the_weighted_median_is_that_of_the_sorted_neighbours(rng, radius, level
     got = weighted(flow, guide, trust, np.ones(shape, bool), radius)
     for i, j in np.ndindex(shape):
         if any(
-            trust[p, q] > 0 and abs(guide[p, q] - guide[i, j]) <= FAR for p, q in neighbours(i, j, radius, shape)
+            trust[p, q] > 0 and abs(guide[p, q] - guide[i, j]) <= MAX_GRAY_DIFFERENCE
+            for p, q in neighbours(i, j, radius, shape)
         ):
             assert got[:, i, j].tolist() == literal(flow, guide, trust, i, j, radius), (i, j)
         else:

@@ -7,7 +7,7 @@ import pytest
 import reference_impl as ref
 
 from fracbench.model.coarse_to_fine import coarse_to_fine
-from fracbench.model.operators.forward import NaturalGradient
+from fracbench.model.operators.forward import ForwardDifferences
 from fracbench.model.params import FlowParams
 from fracbench.model.v_steps import PenaltyStep
 
@@ -16,7 +16,7 @@ class Recorder:
     """A u-step that copies v, and notes what is asked of it."""
 
     def __init__(self, shape, dtype, value=None):
-        self.operator = NaturalGradient(1.0, shape, dtype)
+        self.operator = ForwardDifferences(1.0, shape, dtype)
         self.shape, self.dtype, self.value = shape, dtype, value
         self.restarts = 0
 

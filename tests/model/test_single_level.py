@@ -10,7 +10,7 @@ import pytest
 import reference_impl as ref
 
 from fracbench.model.energy import energy
-from fracbench.model.operators.zero import make_operator
+from fracbench.model.operators.choose import make_operator
 from fracbench.model.params import FlowParams
 from fracbench.model.regularizers import SplitBregman, TVDual
 from fracbench.model.v_steps import MultiplierStep, PenaltyStep

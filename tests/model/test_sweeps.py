@@ -5,8 +5,9 @@ import pytest
 import reference_impl as ref
 
 from fracbench.model.operators.base import GradientOperator
-from fracbench.model.operators.forward import NaturalGradient
-from fracbench.model.operators.zero import ZeroGradient, gl_weights, make_operator
+from fracbench.model.operators.choose import make_operator
+from fracbench.model.operators.forward import ForwardDifferences
+from fracbench.model.operators.zero import ZeroGradient, gl_weights
 from fracbench.model.sweeps import (
     gauss_seidel_dense,
     gauss_seidel_literal,
@@ -39,7 +40,7 @@ def system(boundary, alpha, shape, pad=0, theta=THETA, mu=MU):
 
 
 def sweep(operator, u, rhs, theta=THETA, mu=MU):
-    if isinstance(operator, NaturalGradient):
+    if isinstance(operator, ForwardDifferences):
         gauss_seidel_natural(u, theta * rhs, np.zeros(operator.range_shape), theta, mu)
     else:
         gauss_seidel_dense(u, rhs, *operator.normal_matrices(), theta, mu)
@@ -100,7 +101,7 @@ def test_jacobi_is_the_printed_sweep_with_corrected_signs(rng, alpha):
 @pytest.mark.parametrize("shape", [(5, 4), (1, 6), (6, 1), (2, 2), (1, 1)])
 def test_gauss_seidel_natural_is_algorithm_3(rng, shape):
     (u, v), w = rng.normal(size=(2, *shape)), rng.normal(size=(1, 2, *shape))
-    rhs = v / THETA + MU * NaturalGradient(1.0, shape).adjoint(w)
+    rhs = v / THETA + MU * ForwardDifferences(1.0, shape).adjoint(w)
     expected = ref.gauss_seidel_natural(u, rhs, THETA, MU)
     gauss_seidel_natural(u, v, w, THETA, MU)
     np.testing.assert_allclose(u, expected, atol=1e-14)

@@ -143,11 +143,11 @@ def test_the_usual_circumstances_are_those_of_the_check():
 def test_threads_reach_the_solver(monkeypatch):
     from fracbench.model import regularizers
     from fracbench.model.kernels import threads
-    from fracbench.model.kernels.threads import count, each
+    from fracbench.model.kernels.threads import count, parallel_map
 
     seen = []
     monkeypatch.setattr(threads, "LEAST_PIXELS", 0)
-    monkeypatch.setattr(regularizers, "each", lambda *args: seen.append(count()) or each(*args))
+    monkeypatch.setattr(regularizers, "parallel_map", lambda *args: seen.append(count()) or parallel_map(*args))
     plan = make_plan(["sequence=synthetic_flat", "n_scales=1", "n_warps=1", "max_iter=1", "boundary=reflect"])
     results_of(plan, 2, "")
     assert set(seen) == {2}

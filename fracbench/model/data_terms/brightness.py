@@ -9,7 +9,7 @@ import scipy.ndimage
 
 from fracbench.model.kernels.arrays import Array
 from fracbench.model.kernels.jit import jit
-from fracbench.model.kernels.threads import share
+from fracbench.model.kernels.threads import parallel_for
 from fracbench.model.params import FlowParams
 from fracbench.model.warping import Linearization, central_gradient, interleave, linearize
 
@@ -45,7 +45,7 @@ class Brightness:
     def at(self, u0: Array) -> Linearization:
         """Warp frame 1 and its gradient; see `Residual`."""
         arrays = self._frame0, self._samples1, u0, *self._linear
-        share(lambda a, b: linearize(*arrays, a, b), u0.shape[1])
+        parallel_for(lambda a, b: linearize(*arrays, a, b), u0.shape[1])
         return self._linear
 
 
@@ -73,7 +73,7 @@ class TwoSided(Brightness):
     def at(self, u0: Array) -> Linearization:
         """Average the gradients of both frames; see `fracbench.model.data_terms.brightness.Residual`."""
         linear = super().at(u0)
-        share(lambda a, b: average_gradients(self._gradient0, u0, *linear, a, b), u0.shape[1])
+        parallel_for(lambda a, b: average_gradients(self._gradient0, u0, *linear, a, b), u0.shape[1])
         return linear
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from fracbench.model import pyramid
 from fracbench.model.data_terms.brightness import Brightness, Residual, TwoSided
 from fracbench.model.data_terms.gradients import ImageAndGradient
-from fracbench.model.data_terms.occlusion import SeenInBoth, Visibility
+from fracbench.model.data_terms.occlusion import OcclusionWeighted, Visibility
 from fracbench.model.data_terms.texture import textures
 from fracbench.model.kernels.arrays import Array
 from fracbench.model.params import FlowParams
@@ -46,4 +46,4 @@ def make_residual(
     plain = TwoSided if params.derivatives == "both" else Brightness
     kind = ImageAndGradient if params.lambda_gradient else plain
     found: Residual = kind(*(images or (frame0, frame1)), params)
-    return SeenInBoth(found, Visibility(frame0, frame1, params)) if params.occlusion == "both" else found
+    return OcclusionWeighted(found, Visibility(frame0, frame1, params)) if params.occlusion == "both" else found

@@ -35,7 +35,7 @@ class Visibility:
         return visibility(flow, difference)
 
 
-class SeenInBoth:
+class OcclusionWeighted:
     """Data that count as much as they are seen in both frames: lambda times visibility, at each pixel.
 
     ``lambda |w rho|`` is the term, so that the v-steps know nothing of w. Where there is no flow yet, on the

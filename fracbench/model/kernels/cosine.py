@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracbench.model.kernels.arrays import Array
-from fracbench.model.kernels.fft import LinePlan, fourier, get, put
+from fracbench.model.kernels.fft import LinePlan, fourier, load_complex, store_complex
 from fracbench.model.kernels.jit import jit
 from fracbench.model.kernels.simd import LANES, load, load_row, store, store_row, transpose
 
@@ -33,7 +33,7 @@ def gather(image: Array, axis: int, first: int, rows: NDArray[np.intp], work: Ar
     """
     if axis == 0 and first + LINES <= image.shape[1]:
         for j in range(len(image)):  # both at once: they share a line of the cache
-            put(work, base + rows[j], load(image, j, first), load(image, j, first + LANES))
+            store_complex(work, base + rows[j], load(image, j, first), load(image, j, first + LANES))
         return
     for part in range(2):
         _gather_eight(image, axis, first + part * LANES, rows, work, 2 * base + part)
@@ -77,7 +77,7 @@ def scatter(
     if axis == 0 and first + LINES <= image.shape[1]:
         one, other = (first + LANES, first) if turned else (first, first + LANES)
         for j in range(len(image)):
-            x, y = get(work, base + rows[j])
+            x, y = load_complex(work, base + rows[j])
             store(image, j, one, x)
             store(image, j, other, y)
         return
@@ -131,19 +131,19 @@ def _from_fourier(work: Array, base: int, plan: LinePlan, factor: Array, sine: b
     n = plan.results.size
     real = factor.dtype.type
     row = base + plan.results[0]
-    x, y = get(work, row)
+    x, y = load_complex(work, row)
     scale = real(0.0) if sine else factor[0] / np.sqrt(real(n))
-    put(work, row, scale * x, scale * y)
+    store_complex(work, row, scale * x, scale * y)
     scale = real(1.0) / np.sqrt(real(2 * n))
     for k in range(1, n // 2 + 1):
         low, high = base + plan.results[k], base + plan.results[n - k]
         c, s = scale * plan.quarter[0, k], scale * plan.quarter[1, k]
-        p, q = get(work, low)
-        r, t = get(work, high)
+        p, q = load_complex(work, low)
+        r, t = load_complex(work, high)
         ar, ai, br, bi = p + r, q - t, q + t, r - p
         f, g = (factor[n - k], factor[k]) if sine else (factor[k], factor[n - k])
-        put(work, high, g * (s * ar - c * ai), g * (s * br - c * bi))
-        put(work, low, f * (c * ar + s * ai), f * (c * br + s * bi))
+        store_complex(work, high, g * (s * ar - c * ai), g * (s * br - c * bi))
+        store_complex(work, low, f * (c * ar + s * ai), f * (c * br + s * bi))
 
 
 @jit
@@ -151,22 +151,22 @@ def _to_fourier(work: Array, base: int, plan: LinePlan, factor: Array, sine: boo
     """Turn coefficients of a and b, in natural order, into what `fourier` makes b + i a of, times ``factor``."""
     n = plan.results.size
     real = factor.dtype.type
-    a, b = get(work, base)
+    a, b = load_complex(work, base)
     scale = real(0.0) if sine else factor[0] / np.sqrt(real(n))
-    put(work, base, scale * b, scale * a)
+    store_complex(work, base, scale * b, scale * a)
     scale = real(1.0) / np.sqrt(real(2 * n))
     for k in range(1, n // 2 + 1):
         c, s = scale * plan.quarter[0, k], scale * plan.quarter[1, k]
-        a_low, b_low = get(work, base + k)
-        a_high, b_high = get(work, base + n - k)
+        a_low, b_low = load_complex(work, base + k)
+        a_high, b_high = load_complex(work, base + n - k)
         f, g = factor[k], factor[n - k]
         a_low, b_low, a_high, b_high = f * a_low, f * b_low, g * a_high, g * b_high
         if sine:
             a_low, b_low, a_high, b_high = a_high, b_high, a_low, b_low
         ar, ai = c * a_low + s * a_high, s * a_low - c * a_high
         br, bi = c * b_low + s * b_high, s * b_low - c * b_high
-        put(work, base + n - k, br - ai, ar + bi)
-        put(work, base + k, ai + br, ar - bi)
+        store_complex(work, base + n - k, br - ai, ar + bi)
+        store_complex(work, base + k, ai + br, ar - bi)
 
 
 # --- the transforms ----------------------------------------------------------------------------------------
@@ -232,21 +232,21 @@ def derivatives(
     for first in range(start, stop, LINES):
         gather(x, axis, first, plan.natural, work, 0)
         for row in range(n):
-            ar, ai = get(work, row)
-            put(work, n + row, ar, ai)
+            ar, ai = load_complex(work, row)
+            store_complex(work, n + row, ar, ai)
         for base in (0, n):
             _to_fourier(work, base, plan, even if base == 0 else odd, base > 0)
             fourier(work, base, plan)
         for sample in range(n):
             row = plan.back[sample]
-            ar, ai = get(work, row)
-            br, bi = get(work, n + row)
+            ar, ai = load_complex(work, row)
+            br, bi = load_complex(work, n + row)
             if sample % 2 == 1:  # of B's samples every other one is negative
-                put(work, row, ar + br, ai + bi)
-                put(work, n + row, ar - br, ai - bi)
+                store_complex(work, row, ar + br, ai + bi)
+                store_complex(work, n + row, ar - br, ai - bi)
             else:
-                put(work, row, ar - br, ai - bi)
-                put(work, n + row, ar + br, ai + bi)
+                store_complex(work, row, ar - br, ai - bi)
+                store_complex(work, n + row, ar + br, ai + bi)
         for side in range(2):
             scatter(work, side * n, plan.back, out[side, 1 - axis], axis, first, True)
 
@@ -285,13 +285,13 @@ def derivatives_adjoint(
         for side in range(2):
             gather(d[side, 1 - axis], axis, first, plan.forth, work, side * n)
         for row in range(n):
-            lr, li = get(work, row)
-            rr, ri = get(work, n + row)
-            put(work, row, lr + rr, li + ri)
+            lr, li = load_complex(work, row)
+            rr, ri = load_complex(work, n + row)
+            store_complex(work, row, lr + rr, li + ri)
             if row >= n - n // 2:  # the odd samples
-                put(work, n + row, lr - rr, li - ri)
+                store_complex(work, n + row, lr - rr, li - ri)
             else:
-                put(work, n + row, rr - lr, ri - li)
+                store_complex(work, n + row, rr - lr, ri - li)
         for base in (0, n):
             fourier(work, base, plan)
             _from_fourier(work, base, plan, even if base == 0 else odd, base > 0)
@@ -309,6 +309,6 @@ def derivatives_adjoint(
 
 @jit
 def _add_row(work: Array, row: int, other: int) -> None:
-    ar, ai = get(work, row)
-    br, bi = get(work, other)
-    put(work, row, ar + br, ai + bi)
+    ar, ai = load_complex(work, row)
+    br, bi = load_complex(work, other)
+    store_complex(work, row, ar + br, ai + bi)

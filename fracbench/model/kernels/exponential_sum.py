@@ -16,7 +16,7 @@ import scipy.linalg
 
 from fracbench.model.kernels.arrays import Array, Float64Array
 from fracbench.model.kernels.cosine import LINES, gather, scatter
-from fracbench.model.kernels.fft import get, put
+from fracbench.model.kernels.fft import load_complex, store_complex
 from fracbench.model.kernels.jit import jit
 from fracbench.model.kernels.simd import LANES
 
@@ -106,17 +106,17 @@ def convolve(
     for first in range(start, stop, LINES):
         gather(x, axis, first, natural, work, 0)
         state[...] = 0.0
-        a1, b1 = get(state, terms)
+        a1, b1 = load_complex(state, terms)
         a2, b2 = a1, b1
         for k in range(n):
             row = n - 1 - k if reverse else k
-            a, b = get(work, row)
+            a, b = load_complex(work, row)
             p, q = taps[0] * a + taps[1] * a1, taps[0] * b + taps[1] * b1
             for m in range(terms):
-                f, g = get(state, m)
+                f, g = load_complex(state, m)
                 f, g = ratios[m] * f + a2, ratios[m] * g + b2
-                put(state, m, f, g)
+                store_complex(state, m, f, g)
                 p, q = p + factors[m] * f, q + factors[m] * g
-            put(work, row, p, q)
+            store_complex(work, row, p, q)
             a1, b1, a2, b2 = a, b, a1, b1
         scatter(work, 0, natural, out, axis, first, False)

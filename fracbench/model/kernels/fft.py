@@ -150,24 +150,24 @@ def _cosines_and_sines(angles: list[NDArray[np.float64]], dtype: np.dtype) -> Ar
 
 
 @jit
-def get(work: Array, row: int) -> tuple[Lanes, Lanes]:
+def load_complex(work: Array, row: int) -> tuple[Lanes, Lanes]:
     """Return the real and the imaginary part of a row."""
     return load_row(work, 2 * row), load_row(work, 2 * row + 1)
 
 
 @jit
-def put(work: Array, row: int, x: Lanes, y: Lanes) -> None:
+def store_complex(work: Array, row: int, x: Lanes, y: Lanes) -> None:
     """Write the real and the imaginary part of a row."""
     store_row(work, 2 * row, x)
     store_row(work, 2 * row + 1, y)
 
 
 @jit
-def _put_turned(work: Array, row: int, x: Lanes, y: Lanes, twiddles: Array, k: int) -> None:
+def _store_twiddled(work: Array, row: int, x: Lanes, y: Lanes, twiddles: Array, k: int) -> None:
     """Write a row times a twiddle factor."""
     at = np.uintp(k)
     c, s = twiddles[0, at], twiddles[1, at]
-    put(work, row, c * x - s * y, c * y + s * x)
+    store_complex(work, row, c * x - s * y, c * y + s * x)
 
 
 @jit
@@ -205,10 +205,10 @@ def _radix2(work: Array, start: int, stop: int, rest: int, twiddles: Array, firs
     for block in range(start, stop, 2 * rest):
         for p in range(rest):
             row = block + p
-            ar, ai = get(work, row)
-            br, bi = get(work, row + rest)
-            put(work, row, ar + br, ai + bi)
-            _put_turned(work, row + rest, ar - br, ai - bi, twiddles, first + p)
+            ar, ai = load_complex(work, row)
+            br, bi = load_complex(work, row + rest)
+            store_complex(work, row, ar + br, ai + bi)
+            _store_twiddled(work, row + rest, ar - br, ai - bi, twiddles, first + p)
 
 
 @jit
@@ -218,15 +218,15 @@ def _radix3(work: Array, start: int, stop: int, rest: int, twiddles: Array, firs
     for block in range(start, stop, 3 * rest):
         for p in range(rest):
             row, k = block + p, first + 2 * p
-            ar, ai = get(work, row)
-            br, bi = get(work, row + rest)
-            cr, ci = get(work, row + 2 * rest)
+            ar, ai = load_complex(work, row)
+            br, bi = load_complex(work, row + rest)
+            cr, ci = load_complex(work, row + 2 * rest)
             sr, si = br + cr, bi + ci
             dr, di = root * (br - cr), root * (bi - ci)
             mr, mi = ar - half * sr, ai - half * si
-            put(work, row, ar + sr, ai + si)
-            _put_turned(work, row + rest, mr + di, mi - dr, twiddles, k)
-            _put_turned(work, row + 2 * rest, mr - di, mi + dr, twiddles, k + 1)
+            store_complex(work, row, ar + sr, ai + si)
+            _store_twiddled(work, row + rest, mr + di, mi - dr, twiddles, k)
+            _store_twiddled(work, row + 2 * rest, mr - di, mi + dr, twiddles, k + 1)
 
 
 @jit
@@ -234,16 +234,16 @@ def _radix4(work: Array, start: int, stop: int, rest: int, twiddles: Array, firs
     for block in range(start, stop, 4 * rest):
         for p in range(rest):
             row, k = block + p, first + 3 * p
-            ar, ai = get(work, row)
-            br, bi = get(work, row + rest)
-            cr, ci = get(work, row + 2 * rest)
-            dr, di = get(work, row + 3 * rest)
+            ar, ai = load_complex(work, row)
+            br, bi = load_complex(work, row + rest)
+            cr, ci = load_complex(work, row + 2 * rest)
+            dr, di = load_complex(work, row + 3 * rest)
             er, ei, fr, fi = ar + cr, ai + ci, ar - cr, ai - ci
             gr, gi, hr, hi = br + dr, bi + di, br - dr, bi - di
-            put(work, row, er + gr, ei + gi)
-            _put_turned(work, row + rest, fr + hi, fi - hr, twiddles, k)
-            _put_turned(work, row + 2 * rest, er - gr, ei - gi, twiddles, k + 1)
-            _put_turned(work, row + 3 * rest, fr - hi, fi + hr, twiddles, k + 2)
+            store_complex(work, row, er + gr, ei + gi)
+            _store_twiddled(work, row + rest, fr + hi, fi - hr, twiddles, k)
+            _store_twiddled(work, row + 2 * rest, er - gr, ei - gi, twiddles, k + 1)
+            _store_twiddled(work, row + 3 * rest, fr - hi, fi + hr, twiddles, k + 2)
 
 
 @jit
@@ -254,22 +254,22 @@ def _radix5(work: Array, start: int, stop: int, rest: int, twiddles: Array, firs
     for block in range(start, stop, 5 * rest):
         for p in range(rest):
             row, k = block + p, first + 4 * p
-            ar, ai = get(work, row)
-            br, bi = get(work, row + rest)
-            cr, ci = get(work, row + 2 * rest)
-            dr, di = get(work, row + 3 * rest)
-            er, ei = get(work, row + 4 * rest)
+            ar, ai = load_complex(work, row)
+            br, bi = load_complex(work, row + rest)
+            cr, ci = load_complex(work, row + 2 * rest)
+            dr, di = load_complex(work, row + 3 * rest)
+            er, ei = load_complex(work, row + 4 * rest)
             pr, pi, qr, qi = br + er, bi + ei, br - er, bi - ei
             ur, ui, vr, vi = cr + dr, ci + di, cr - dr, ci - di
-            put(work, row, ar + pr + ur, ai + pi + ui)
+            store_complex(work, row, ar + pr + ur, ai + pi + ui)
             mr, mi = ar + c1 * pr + c2 * ur, ai + c1 * pi + c2 * ui
             nr, ni = s1 * qr + s2 * vr, s1 * qi + s2 * vi
-            _put_turned(work, row + rest, mr + ni, mi - nr, twiddles, k)
-            _put_turned(work, row + 4 * rest, mr - ni, mi + nr, twiddles, k + 3)
+            _store_twiddled(work, row + rest, mr + ni, mi - nr, twiddles, k)
+            _store_twiddled(work, row + 4 * rest, mr - ni, mi + nr, twiddles, k + 3)
             mr, mi = ar + c2 * pr + c1 * ur, ai + c2 * pi + c1 * ui
             nr, ni = s2 * qr - s1 * vr, s2 * qi - s1 * vi
-            _put_turned(work, row + 2 * rest, mr + ni, mi - nr, twiddles, k + 1)
-            _put_turned(work, row + 3 * rest, mr - ni, mi + nr, twiddles, k + 2)
+            _store_twiddled(work, row + 2 * rest, mr + ni, mi - nr, twiddles, k + 1)
+            _store_twiddled(work, row + 3 * rest, mr - ni, mi + nr, twiddles, k + 2)
 
 
 @jit
@@ -290,34 +290,34 @@ def _odd_radix(
     for block in range(start, stop, radix * rest):
         for p in range(rest):
             row, k = block + p, first + (radix - 1) * p
-            ar, ai = get(work, row)
+            ar, ai = load_complex(work, row)
             tr, ti, zero = ar, ai, ar - ar
             for j in range(1, half + 1):
-                xr, xi = get(work, row + j * rest)
-                yr, yi = get(work, row + (radix - j) * rest)
-                put(pairs, 2 * j, xr + yr, xi + yi)
-                put(pairs, 2 * j + 1, xr - yr, xi - yi)
+                xr, xi = load_complex(work, row + j * rest)
+                yr, yi = load_complex(work, row + (radix - j) * rest)
+                store_complex(pairs, 2 * j, xr + yr, xi + yi)
+                store_complex(pairs, 2 * j + 1, xr - yr, xi - yi)
                 tr, ti = tr + (xr + yr), ti + (xi + yi)
-            put(work, row, tr, ti)
+            store_complex(work, row, tr, ti)
             at = np.uintp(first_root)
             for i in range(1, half + 1, 2):  # two at a time: each term, once loaded, serves two sums
                 fr, fi, gr, gi = ar, ai, ar, ai
                 pr, pi, qr, qi = zero, zero, zero, zero
                 for j in range(1, half + 1):
-                    xr, xi = get(pairs, 2 * j)
-                    yr, yi = get(pairs, 2 * j + 1)
+                    xr, xi = load_complex(pairs, 2 * j)
+                    yr, yi = load_complex(pairs, 2 * j + 1)
                     c, s = roots[at, 0], roots[at, 1]
                     fr, fi, pr, pi = fr + c * xr, fi + c * xi, pr + s * yr, pi + s * yi
                     c, s = roots[at, 2], roots[at, 3]
                     gr, gi, qr, qi = gr + c * xr, gi + c * xi, qr + s * yr, qi + s * yi
                     at += np.uintp(1)
-                _put_mirrored(work, row, rest, i, radix, fr, fi, pr, pi, twiddles, k)
+                _store_mirrored(work, row, rest, i, radix, fr, fi, pr, pi, twiddles, k)
                 if i + 1 <= half:
-                    _put_mirrored(work, row, rest, i + 1, radix, gr, gi, qr, qi, twiddles, k)
+                    _store_mirrored(work, row, rest, i + 1, radix, gr, gi, qr, qi, twiddles, k)
 
 
 @jit
-def _put_mirrored(
+def _store_mirrored(
     work: Array,
     row: int,
     rest: int,
@@ -331,5 +331,5 @@ def _put_mirrored(
     k: int,
 ) -> None:
     """Write the results i and radix - i: cosine sum plus and minus i times the sine sum."""
-    _put_turned(work, row + i * rest, xr - yi, xi + yr, twiddles, k + i - 1)
-    _put_turned(work, row + (radix - i) * rest, xr + yi, xi - yr, twiddles, k + radix - i - 1)
+    _store_twiddled(work, row + i * rest, xr - yi, xi + yr, twiddles, k + i - 1)
+    _store_twiddled(work, row + (radix - i) * rest, xr + yi, xi - yr, twiddles, k + radix - i - 1)

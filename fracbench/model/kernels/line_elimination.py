@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from fracbench.model.kernels.arrays import Array, Float64Array
 from fracbench.model.kernels.cosine import LINES, gather, scatter
 from fracbench.model.kernels.exponential_sum import ExponentialSum
-from fracbench.model.kernels.fft import get, put
+from fracbench.model.kernels.fft import load_complex, store_complex
 from fracbench.model.kernels.jit import jit
 from fracbench.model.kernels.simd import LANES
 
@@ -177,32 +177,32 @@ def solve_lines(x: Array, axis: int, start: int, stop: int, ratios: Array, gains
         place = which[first // LINES]
         gather(x, axis, first, natural, work, 0)
         state[...] = 0.0  # q, without q_0
-        q, s = get(state, terms)
+        q, s = load_complex(state, terms)
         for k in range(n - 1, -1, -1):
             gain = rows[place[n - 1 - k]]
-            f, g = get(work, k)
+            f, g = load_complex(work, k)
             a, b = f + q, g + s
-            put(work, k, a, b)
-            c, d = get(gain, 1)
+            store_complex(work, k, a, b)
+            c, d = load_complex(gain, 1)
             q, s = a - a - c * a, b - b - d * b  # as x_0 goes into every other x_m, q_0 gathers every other q_m
             for m in range(terms):
-                f, g = get(state, m)
+                f, g = load_complex(state, m)
                 q, s = q + f, s + g
-                c, d = get(gain, m + 2)
-                put(state, m, ratios[m] * f - c * a, ratios[m] * g - d * b)
+                c, d = load_complex(gain, m + 2)
+                store_complex(state, m, ratios[m] * f - c * a, ratios[m] * g - d * b)
         state[...] = 0.0  # x, without x_0
-        p, o = get(state, terms)
+        p, o = load_complex(state, terms)
         for k in range(n):
             gain = rows[place[n - 1 - k]]
-            a, b = get(work, k)
-            c, d = get(gain, 0)
-            f, g = get(gain, 1)
+            a, b = load_complex(work, k)
+            c, d = load_complex(gain, 0)
+            f, g = load_complex(gain, 1)
             u, v = c * a - f * p, d * b - g * o
             for m in range(terms):
-                c, d = get(gain, m + 2)
-                f, g = get(state, m)
+                c, d = load_complex(gain, m + 2)
+                f, g = load_complex(state, m)
                 u, v = u - c * f, v - d * g
-                put(state, m, ratios[m] * f + p, ratios[m] * g + o)
-            put(work, k, u, v)
+                store_complex(state, m, ratios[m] * f + p, ratios[m] * g + o)
+            store_complex(work, k, u, v)
             p, o = u, v
         scatter(work, 0, natural, x, axis, first, False)

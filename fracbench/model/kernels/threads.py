@@ -67,11 +67,11 @@ def worth_threads(pixels: int) -> Iterator[None]:
 
 
 def count() -> int:
-    """Return the number of threads that the next `share` may use."""
+    """Return the number of threads that the next `parallel_for` may use."""
     return _threads.get()
 
 
-def share(work: Callable[[int, int], object], lines: int, least: int = LEAST_LINES) -> None:
+def parallel_for(work: Callable[[int, int], object], lines: int, least: int = LEAST_LINES) -> None:
     """Call ``work(start, stop)`` for ranges that make up ``0..lines-1``, at the same time.
 
     Within a range `work` may share on, among the threads that are left to it.
@@ -103,8 +103,8 @@ def share(work: Callable[[int, int], object], lines: int, least: int = LEAST_LIN
         other.result()
 
 
-def each(work: Callable[[T], R], items: Sequence[T]) -> list[R]:
-    """Return ``[work(item) for item in items]``, computed at the same time; see `share`."""
+def parallel_map(work: Callable[[T], R], items: Sequence[T]) -> list[R]:
+    """Return ``[work(item) for item in items]``, computed at the same time; see `parallel_for`."""
     if count() == 1:
         return [work(item) for item in items]
     found: dict[int, R] = {}
@@ -113,5 +113,5 @@ def each(work: Callable[[T], R], items: Sequence[T]) -> list[R]:
         for i in range(start, stop):
             found[i] = work(items[i])
 
-    share(take, len(items), least=1)
+    parallel_for(take, len(items), least=1)
     return [found[i] for i in range(len(items))]

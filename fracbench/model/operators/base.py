@@ -7,14 +7,6 @@ Each knows its exact adjoint and the basis in which its normal operator
 ``weight * sum_pairs D_pair^T D_pair`` is the sum of two diagonals, one an axis: that is what makes the
 u-step a division.
 
-==========  =========================================  =====================================  ============
-boundary    u outside the image                        derivatives (pairs)                    basis
-==========  =========================================  =====================================  ============
-`zero`      0 (the paper's Dirichlet condition)        left                                   eigenvectors
-`reflect`   mirrored about the edges                   left and right, each weighing 1/2      DCT-II
-`natural`   no flux (alpha = 1 only; Algorithm 3)      forward differences                    DCT-II
-==========  =========================================  =====================================  ============
-
 The adjoint under `zero` is the right derivative (the paper's integration by parts, made exact).
 """
 

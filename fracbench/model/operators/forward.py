@@ -8,12 +8,12 @@ from fracbench.model.kernels.arrays import Array
 from fracbench.model.kernels.cosine import cosine, cosine_back
 from fracbench.model.kernels.forward_rows import column_pivots, differences, right_hand_side, solve_columns
 from fracbench.model.kernels.simd import AVAILABLE
-from fracbench.model.kernels.threads import share
+from fracbench.model.kernels.threads import parallel_for
 from fracbench.model.operators.base import System
 from fracbench.model.operators.reflect import CosineGradient
 
 
-class NaturalGradient(CosineGradient):
+class ForwardDifferences(CosineGradient):
     """Forward differences without flux through the border: the gradient of Algorithm 3 and of TV-L1.
 
     Its u-step takes one transform: with x in the cosine basis, each column is a tridiagonal system of its own.
@@ -45,9 +45,9 @@ class NaturalGradient(CosineGradient):
         (inverse,) = system
         right_hand_side(v, w, theta, mu, u)
         plan, one = self._plan_x, self._one_x
-        share(lambda a, b: cosine(u, 1, a, b, one, plan, u), height)
-        share(lambda a, b: solve_columns(u, mu, inverse, a, b), width)
-        share(lambda a, b: cosine_back(u, 1, a, b, one, plan, u), height)
+        parallel_for(lambda a, b: cosine(u, 1, a, b, one, plan, u), height)
+        parallel_for(lambda a, b: solve_columns(u, mu, inverse, a, b), width)
+        parallel_for(lambda a, b: cosine_back(u, 1, a, b, one, plan, u), height)
         self.differentiate(u, w)
 
     def factor(self, theta: float, mu: float) -> System:

@@ -13,7 +13,7 @@ from fracbench.model.kernels.cosine import cosine, cosine_back, derivatives, der
 from fracbench.model.kernels.fft import line_plan
 from fracbench.model.kernels.pointwise import add_and_divide
 from fracbench.model.kernels.simd import AVAILABLE
-from fracbench.model.kernels.threads import share
+from fracbench.model.kernels.threads import parallel_for
 from fracbench.model.operators.base import GradientOperator, System
 
 
@@ -58,22 +58,22 @@ class CosineGradient(GradientOperator):
         plan_y, plan_x, one_y, one_x = self._plan_y, self._plan_x, self._one_y, self._one_x
         in_x, in_y = w[0]
         along_y, along_x = system
-        share(lambda a, b: cosine(in_x, 0, a, b, one_y, plan_y, in_x), width)
-        share(lambda a, b: cosine(in_y, 1, a, b, one_x, plan_x, in_y), height)
-        share(lambda a, b: add_and_divide(in_x, in_y, along_y, along_x, a, b), height)
-        share(lambda a, b: cosine_back(in_x, 1, a, b, one_x, plan_x, in_y), height)
-        share(lambda a, b: cosine_back(in_x, 0, a, b, one_y, plan_y, in_x), width)
+        parallel_for(lambda a, b: cosine(in_x, 0, a, b, one_y, plan_y, in_x), width)
+        parallel_for(lambda a, b: cosine(in_y, 1, a, b, one_x, plan_x, in_y), height)
+        parallel_for(lambda a, b: add_and_divide(in_x, in_y, along_y, along_x, a, b), height)
+        parallel_for(lambda a, b: cosine_back(in_x, 1, a, b, one_x, plan_x, in_y), height)
+        parallel_for(lambda a, b: cosine_back(in_x, 0, a, b, one_y, plan_y, in_x), width)
 
     def transform(self, u: Array, w: Array) -> None:
         """Write the cosine coefficients of `u` along x and along y to ``w[0, 0]`` and ``w[0, 1]``."""
         plan_y, plan_x, one_y, one_x = self._plan_y, self._plan_x, self._one_y, self._one_x
-        share(lambda a, b: cosine(u, 1, a, b, one_x, plan_x, w[0, 0]), self.shape[0])
-        share(lambda a, b: cosine(u, 0, a, b, one_y, plan_y, w[0, 1]), self.shape[1])
+        parallel_for(lambda a, b: cosine(u, 1, a, b, one_x, plan_x, w[0, 0]), self.shape[0])
+        parallel_for(lambda a, b: cosine(u, 0, a, b, one_y, plan_y, w[0, 1]), self.shape[1])
 
     def back(self, w: Array, u: Array) -> None:
         """Write u from its cosine coefficients along x, ``w[0, 0]``."""
         plan, one = self._plan_x, self._one_x
-        share(lambda a, b: cosine_back(w[0, 0], 1, a, b, one, plan, u), self.shape[0])
+        parallel_for(lambda a, b: cosine_back(w[0, 0], 1, a, b, one, plan, u), self.shape[0])
 
 
 def _from_cosine_basis(eigenvalues: Float64Array) -> Float64Array:
@@ -149,8 +149,8 @@ class ReflectGradient(CosineGradient):
         direct = one[:0] if math.isinf(theta) else one / self.dtype.type(theta)
         to_x = step * self._cos_x, step * self._sin_x, direct, self._plan_x, w[0, 0]
         to_y = step * self._cos_y, step * self._sin_y, one[:0], self._plan_y, w[0, 1]
-        share(lambda a, b: derivatives_adjoint(w, v, 1, a, b, *to_x), height)
-        share(lambda a, b: derivatives_adjoint(w, v, 0, a, b, *to_y), width)
+        parallel_for(lambda a, b: derivatives_adjoint(w, v, 1, a, b, *to_x), height)
+        parallel_for(lambda a, b: derivatives_adjoint(w, v, 0, a, b, *to_y), width)
 
     def spread(self, cosines: Array, d: Array) -> None:
         """Write u's derivatives.
@@ -164,8 +164,8 @@ class ReflectGradient(CosineGradient):
         """
         height, width = self.shape
         to_x, to_y = (self._cos_x, self._sin_x, self._plan_x), (self._cos_y, self._sin_y, self._plan_y)
-        share(lambda a, b: derivatives(cosines[0], 1, a, b, *to_x, d), height)
-        share(lambda a, b: derivatives(cosines[1], 0, a, b, *to_y, d), width)
+        parallel_for(lambda a, b: derivatives(cosines[0], 1, a, b, *to_x, d), height)
+        parallel_for(lambda a, b: derivatives(cosines[1], 0, a, b, *to_y, d), width)
 
     @staticmethod
     def _derivatives(coefficients: Array, cosine: Array, sine: Array, axis: int, out: Array) -> None:

@@ -8,20 +8,15 @@ from functools import lru_cache
 import numpy as np
 import scipy.linalg
 
-from fracbench.errors import InputError, unknown_name
 from fracbench.model.kernels.arrays import Array, Float64Array
 from fracbench.model.kernels.exponential_sum import ExponentialSum, convolve, exponential_sum
 from fracbench.model.kernels.jit import jit
 from fracbench.model.kernels.line_elimination import LineGains, line_gains, solve_lines
 from fracbench.model.kernels.pointwise import divide_by_sum
 from fracbench.model.kernels.simd import AVAILABLE
-from fracbench.model.kernels.threads import share
+from fracbench.model.kernels.threads import parallel_for
 from fracbench.model.operators.base import GradientOperator, System
-from fracbench.model.operators.forward import NaturalGradient
-from fracbench.model.operators.reflect import ReflectGradient
 
-BOUNDARIES = ("zero", "reflect", "natural")
-ALPHA_RANGE = (0.0, 2.0)
 #: On shorter lines a product with the matrix is faster than a sum of exponentials.
 LEAST_SUMMED = 64
 #: Rows of a product that threads share.
@@ -110,7 +105,7 @@ class LeftDerivative:
     def _times(self, x: Array, axis: int, transposed: bool, out: Array) -> None:
         weights = self.memory
         if weights is not None:
-            share(lambda a, b: convolve(x, axis, a, b, weights, transposed, out), x.shape[1 - axis])
+            parallel_for(lambda a, b: convolve(x, axis, a, b, weights, transposed, out), x.shape[1 - axis])
             return
         matrix, back = self.matrices[::-1] if transposed else self.matrices
         if axis == 1:
@@ -253,7 +248,7 @@ class ZeroGradient(GradientOperator):
             _product(transpose, u, y)
         else:
             _product(u, basis, y)
-        share(lambda a, b: solve_lines(y, axis, a, b, ratios, gains), self.shape[1 - axis])
+        parallel_for(lambda a, b: solve_lines(y, axis, a, b, ratios, gains), self.shape[1 - axis])
         if axis == 1:
             _product(basis, y, u)
         else:
@@ -277,7 +272,7 @@ def _product(a: Array, b: Array, out: Array) -> None:
             rows = slice(block * BLOCK_ROWS, (block + 1) * BLOCK_ROWS)
             np.matmul(a[rows], b, out=out[rows])
 
-    share(take, math.ceil(len(out) / BLOCK_ROWS), least=1)
+    parallel_for(take, math.ceil(len(out) / BLOCK_ROWS), least=1)
 
 
 # As many bases as a sweep of 21 orders comes back to at six scales (with fewer it would find none of them): 15 MB
@@ -290,47 +285,3 @@ def _eigenbasis(alpha: float, n: int, pad: int, dtype: np.dtype) -> tuple[Float6
     _, singular, right = scipy.linalg.svd(t, full_matrices=False)
     back = np.ascontiguousarray(right, dtype)
     return singular**2, np.ascontiguousarray(back.T), back
-
-
-def make_operator(
-    boundary: str, alpha: float, shape: tuple[int, int], dtype: np.dtype | type = np.float64, pad: int = 0
-) -> GradientOperator:
-    """Return the gradient operator for a boundary rule.
-
-    Parameters
-    ----------
-    boundary : {'zero', 'reflect', 'natural'}
-        Boundary rule, see the table in the module's docstring.
-    alpha : float
-        Order in [0, 2].
-    shape : tuple of int
-        ``(H, W)``.
-    dtype : dtype-like, optional
-        float32 or float64.
-    pad : int, optional
-        Padding in pixels; `zero` only.
-
-    Returns
-    -------
-    GradientOperator
-        The operator.
-
-    Raises
-    ------
-    InputError
-        Unknown boundary, `alpha` outside its range, or a combination that is not defined.
-    """
-    low, high = ALPHA_RANGE
-    if not low <= alpha <= high:
-        raise InputError(f"`alpha` must lie in [{low:g}, {high:g}], got {alpha:g}")
-    if pad and boundary != "zero":
-        raise InputError(f"`pad` belongs to boundary=zero, got pad={pad} with boundary={boundary}")
-    if boundary == "zero":
-        return ZeroGradient(alpha, shape, dtype, pad)
-    if boundary == "reflect":
-        return ReflectGradient(alpha, shape, dtype)
-    if boundary == "natural":
-        if alpha != 1.0:
-            raise InputError(f"boundary=natural is defined for alpha = 1, got alpha = {alpha:g}")
-        return NaturalGradient(alpha, shape, dtype)
-    raise unknown_name("boundary", boundary, BOUNDARIES)

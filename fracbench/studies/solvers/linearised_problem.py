@@ -16,7 +16,8 @@ from fracbench.model.data_terms.brightness import Brightness
 from fracbench.model.energy import energy
 from fracbench.model.kernels.arrays import Array
 from fracbench.model.kernels.pointwise import threshold
-from fracbench.model.operators.zero import gl_weights, make_operator
+from fracbench.model.operators.choose import make_operator
+from fracbench.model.operators.zero import gl_weights
 from fracbench.model.params import FlowParams
 from fracbench.model.sweeps import gauss_seidel_dense, gauss_seidel_literal
 from fracbench.model.warping import Linearization

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fracbench.data.datasets.registry import load_sequence
-from fracbench.data.datasets.synthetic.single_structure import LONE
+from fracbench.data.datasets.synthetic.single_structure import SINGLE_STRUCTURE
 from fracbench.data.files import ensure_folder, write_text
 from fracbench.errors import InputError
 from fracbench.harness.config.experiment import Experiment
@@ -129,7 +129,7 @@ def _pictures(plan: Plan, stem: Any) -> list[Path]:
     words = ", ".join(f"{colour} {name}" for name, (colour, _) in CLASS_COLOURS.items())
     for dataset, folder, kind in (("synthetic", FIGURES, "_scenes"), ("middlebury", PRIVATE, "_frames")):
         items = [(name, picture) for (of, name), picture in frames.items() if of == dataset]
-        items.sort(key=lambda item: LONE.index(item[0]) if item[0] in LONE else -1)
+        items.sort(key=lambda item: SINGLE_STRUCTURE.index(item[0]) if item[0] in SINGLE_STRUCTURE else -1)
         if items:
             columns = 3 if dataset == "synthetic" else 4
             files += draw(

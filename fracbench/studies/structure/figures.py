@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fracbench.data.datasets.synthetic.single_structure import LONE
+from fracbench.data.datasets.synthetic.single_structure import SINGLE_STRUCTURE
 from fracbench.figures.style import PALETTE, SHADE, STAR, axis_label, house_style, new_figure
 from fracbench.model.structure import CLASSES, structure_classes
 
@@ -25,7 +25,7 @@ CLASS_COLOURS: Mapping[str, tuple[str, str]] = dict(
         strict=True,
     )
 )
-_ORDER = (*LONE, "all", *CLASSES)
+_ORDER = (*SINGLE_STRUCTURE, "all", *CLASSES)
 _BOUNDARIES = {"zero": (PALETTE[1], "s"), "reflect": (PALETTE[0], "o")}
 #: Ratios beyond are cut off: what matters is near 1.
 _TOP = 2.0

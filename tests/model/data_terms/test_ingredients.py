@@ -16,7 +16,7 @@ from fracbench.model.data_terms.choose import make_residual, residual_factory
 from fracbench.model.data_terms.gradients import ImageAndGradient
 from fracbench.model.data_terms.occlusion import Visibility, visibility
 from fracbench.model.data_terms.texture import textures
-from fracbench.model.flow_filters import median, refiner
+from fracbench.model.flow_filters import flow_filter, median
 from fracbench.model.params import FlowParams
 from fracbench.model.regularizers import edge_weights
 from fracbench.model.v_steps import ChannelStep, MultiplierStep, channel_step
@@ -73,7 +73,7 @@ def test_what_is_off_is_not_there(frames):
     params = FlowParams(dtype="float64")
     assert type(make_residual(*frames, params)) is Brightness
     assert channel_step(np.zeros((2, 26, 31)), params) is None
-    assert refiner(*frames, params) is None
+    assert flow_filter(*frames, params) is None
     assert residual_factory(*frames, params) is make_residual
 
 
@@ -109,13 +109,13 @@ def test_the_parts_are_those_asked_for(frames):
 
 def test_the_plain_filter_is_the_median_of_the_flow(frames):
     noisy = np.random.default_rng(4).normal(size=(2, 26, 31))
-    refine = refiner(*frames, FlowParams(dtype="float64", median_radius=2))
+    refine = flow_filter(*frames, FlowParams(dtype="float64", median_radius=2))
     np.testing.assert_array_equal(refine(noisy), median(noisy, 5))
 
 
 def test_the_weighted_filter_leaves_smooth_flow_to_the_plain_one(frames):
     """Far from motion edges both filters together are the plain one; a step brings the other in."""
-    refine = refiner(*frames, FlowParams(dtype="float64", median_radius=1, weighted_radius=2))
+    refine = flow_filter(*frames, FlowParams(dtype="float64", median_radius=1, weighted_radius=2))
     y, x = np.mgrid[:26, :31]
     smooth = np.stack([0.01 * x, 0.02 * y])
     np.testing.assert_array_equal(refine(smooth), median(smooth, 3))
@@ -140,7 +140,7 @@ def test_a_translation_is_found_with_everything_on(frames):
 @pytest.mark.parametrize("gradients", [False, True])
 def test_transposing_the_frames_transposes_the_flow(frames, gradients, monkeypatch):
     """With gradients where each v-step is solved: a few rounds treat the channels in the order x, y."""
-    monkeypatch.setattr("fracbench.model.v_steps.ROUNDS", 1000)
+    monkeypatch.setattr("fracbench.model.v_steps.DUAL_SWEEPS", 1000)
     values = {**EVERYTHING, "lambda_gradient": 0.3 * gradients, **SHORT, "max_iter": 3}
     transposed = flow([f.T.copy() for f in frames], **values)
     tolerance = 5e-3 if gradients else 1e-12
@@ -261,12 +261,12 @@ def test_without_visibility_all_neighbours_count_alike(frames, monkeypatch):
     """The filter's numbers are those of a visibility that is 1 everywhere; with it they are others."""
     u = hidden()
     filters = {name: FlowParams(dtype="float64", weighted_radius=2, occlusion=name) for name in ("median", "none")}
-    found = {name: refiner(*frames, params)(u) for name, params in filters.items()}
+    found = {name: flow_filter(*frames, params)(u) for name, params in filters.items()}
     assert (found["median"] != found["none"]).any()
     monkeypatch.setattr(
         "fracbench.model.data_terms.occlusion.visibility", lambda flow, residual: np.ones_like(residual)
     )
-    np.testing.assert_array_equal(refiner(*frames, filters["median"])(u), found["none"])
+    np.testing.assert_array_equal(flow_filter(*frames, filters["median"])(u), found["none"])
 
 
 def test_gradients_need_the_multiplier(frames):

@@ -13,7 +13,7 @@ from fracbench.errors import InputError
 from fracbench.model import regularizers, v_steps
 from fracbench.model.kernels import threads as threads_module
 from fracbench.model.kernels.cosine import LINES
-from fracbench.model.kernels.threads import count, each, share, use_threads, worth_threads
+from fracbench.model.kernels.threads import count, parallel_for, parallel_map, use_threads, worth_threads
 from fracbench.model.operators import zero as fractional
 
 
@@ -28,7 +28,7 @@ def test_every_line_is_taken_once(threads, lines, least):
         taken[start:stop] += 1
 
     with use_threads(threads):
-        share(work, lines, least)
+        parallel_for(work, lines, least)
     np.testing.assert_array_equal(taken, 1)
     assert len(starts) == min(threads, max(1, lines // least))
     if least >= LINES:
@@ -38,13 +38,13 @@ def test_every_line_is_taken_once(threads, lines, least):
 def test_each_gives_the_results_in_order():
     for threads in (1, 2, 5):
         with use_threads(threads):
-            assert each(lambda x: x * x, range(5)) == [0, 1, 4, 9, 16]
+            assert parallel_map(lambda x: x * x, range(5)) == [0, 1, 4, 9, 16]
 
 
 def test_ranges_run_at_the_same_time():
     meeting = threading.Barrier(2, timeout=30)  # breaks if one range waits for the other
     with use_threads(2):
-        share(lambda a, b: meeting.wait(), 2, least=1)
+        parallel_for(lambda a, b: meeting.wait(), 2, least=1)
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3, 4, 7])
@@ -58,10 +58,10 @@ def test_a_range_shares_on_among_the_threads_left_to_it(threads):
             def lines(a, b, c=c):
                 taken[c, a:b] += 1
 
-            share(lines, 6, least=1)
+            parallel_for(lines, 6, least=1)
 
     with use_threads(threads):
-        share(component, 2, least=1)
+        parallel_for(component, 2, least=1)
         assert count() == threads
     np.testing.assert_array_equal(taken, 1)
     assert at_once == [max(1, threads // 2)] * 2
@@ -73,7 +73,7 @@ def test_an_error_in_any_thread_is_raised():
             raise ValueError("in the second range")
 
     with use_threads(2), pytest.raises(ValueError, match="in the second range"):
-        share(work, 2, least=1)
+        parallel_for(work, 2, least=1)
 
 
 @pytest.mark.skipif(config.DISABLE_JIT, reason="takes minutes without compilation")
@@ -110,9 +110,9 @@ def test_the_threads_of_a_flow_share_its_large_scales_alone(monkeypatch):
 
     def noted(*args):
         teams.append(count())
-        return each(*args)
+        return parallel_map(*args)
 
-    monkeypatch.setattr(regularizers, "each", noted)
+    monkeypatch.setattr(regularizers, "parallel_map", noted)
     frame = np.random.default_rng(2).uniform(0, 255, (160, 200))
     result = estimate_flow(frame, frame, threads=2, n_scales=2, n_warps=1, max_iter=1)
     assert [level.shape for level in result.levels] == [(80, 100), (160, 200)]

@@ -10,7 +10,7 @@ from fracbench.errors import InputError
 from fracbench.model.energy import coupling, regularity
 from fracbench.model.operators.alpha_map import MappedGradient
 from fracbench.model.operators.base import GradientOperator
-from fracbench.model.operators.zero import ReflectGradient
+from fracbench.model.operators.reflect import ReflectGradient
 from fracbench.model.regularizers import SplitBregman
 
 THETA, MU = 0.3, 5.0

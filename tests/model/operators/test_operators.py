@@ -10,7 +10,8 @@ import scipy.special
 
 from fracbench.errors import InputError
 from fracbench.model.operators.base import GradientOperator
-from fracbench.model.operators.forward import NaturalGradient
+from fracbench.model.operators.choose import make_operator
+from fracbench.model.operators.forward import ForwardDifferences
 from fracbench.model.operators.reflect import ReflectGradient
 from fracbench.model.operators.zero import (
     LEAST_SUMMED,
@@ -18,7 +19,6 @@ from fracbench.model.operators.zero import (
     ZeroGradient,
     gl_weights,
     left_derivative_matrix,
-    make_operator,
 )
 
 ALPHAS = (0.0, 0.3, 0.7, 1.0, 1.3, 1.9, 2.0)
@@ -251,7 +251,7 @@ def test_reflect_with_whole_orders_is_differences_with_mirrored_ghosts(rng, alph
 
 def test_natural_is_forward_differences_without_flux(rng):
     u = rng.normal(size=(6, 7))
-    np.testing.assert_allclose(NaturalGradient(1.0, u.shape).apply(u)[0], ref.forward_gradient(u), atol=1e-15)
+    np.testing.assert_allclose(ForwardDifferences(1.0, u.shape).apply(u)[0], ref.forward_gradient(u), atol=1e-15)
 
 
 def test_padding_adds_derivatives_past_the_right_and_bottom_edge():
@@ -319,7 +319,7 @@ def test_reflect_is_symmetric_under_flips(rng, alpha):
 
 
 @pytest.mark.parametrize(
-    ("boundary", "kind"), [("zero", ZeroGradient), ("reflect", ReflectGradient), ("natural", NaturalGradient)]
+    ("boundary", "kind"), [("zero", ZeroGradient), ("reflect", ReflectGradient), ("natural", ForwardDifferences)]
 )
 def test_make_operator_gives_the_operator_of_the_boundary(boundary, kind):
     operator = make_operator(boundary, 1.0, (4, 5))

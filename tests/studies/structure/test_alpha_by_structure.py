@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fracbench.data.datasets.synthetic.single_structure import LONE
+from fracbench.data.datasets.synthetic.single_structure import SINGLE_STRUCTURE
 from fracbench.errors import InputError
 from fracbench.harness.config.experiment import load_experiment
 from fracbench.harness.config.grid import parse_overrides
@@ -163,7 +163,7 @@ def test_the_experiment_asks_what_the_issue_asks():
     assert grid.size == 3 * 20 * 11 * 2
     one = [f"{axis.keys[0]}={axis.values[-1][0]}" for axis in grid.axes]
     points = [planned.point for planned in plan_experiment({"scenes": one}, allow_download=False).points]
-    assert {point.sequence for point in points} == set(LONE)
+    assert {point.sequence for point in points} == set(SINGLE_STRUCTURE)
     assert {(point.seed, point.noise, point.canonical["alpha"]) for point in points} == {(19, 3.0, "2")}
     assert {(point.method, box(point)) for point in points} == {("tvl1_sb_alpha", (24, 72, 24, 72))}
 

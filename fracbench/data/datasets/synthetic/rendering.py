@@ -120,7 +120,7 @@ class Layer:
 
 
 @dataclass(frozen=True)
-class Studio:
+class SceneBuilder:
     """What scenes are built from.
 
     Attributes

@@ -20,27 +20,27 @@ from fracbench.data.datasets.base import Dataset
 from fracbench.data.datasets.synthetic.rendering import (
     Layer,
     Motion,
-    Studio,
+    SceneBuilder,
     both,
     composite,
     disc,
     half_plane,
     true_flow,
 )
-from fracbench.data.datasets.synthetic.single_structure import BUILDERS, LONE
+from fracbench.data.datasets.synthetic.single_structure import BUILDERS, SINGLE_STRUCTURE
 from fracbench.data.pair import FramePair
 from fracbench.errors import InputError, match_name
 
 GENERATOR_VERSION = 1  # part of every digest: raise it whenever a rendered value may change
 SCENES = ("flat", "edge", "corner", "parallax", "rotation", "zoom", "occlusion", "large")
-ALL = (*SCENES, *LONE)
+ALL = (*SCENES, *SINGLE_STRUCTURE)
 
 #: Height and width of each scene, unless another is asked for.
 SHAPES = {
     **dict.fromkeys(SCENES, (128, 160)),
     "corner": (127, 161),
     "zoom": (129, 160),
-    **dict.fromkeys(LONE, (96, 96)),
+    **dict.fromkeys(SINGLE_STRUCTURE, (96, 96)),
 }
 _MIN_SIDE = 8
 
@@ -77,7 +77,7 @@ def scene(name: str, *, shape: tuple[int, int] | None = None, noise: float = 0.0
     stack = layers(name, shape=shape, seed=seed)
     frames = [composite(stack, x, y, in_frame1=late) for late in (False, True)]
     if noise > 0:
-        rng = _studio(name, shape, seed).random(len(stack))
+        rng = _builder(name, shape, seed).random(len(stack))
         frames = [frame + rng.normal(0.0, noise, shape) for frame in frames]
     return FramePair(
         name=name,
@@ -99,7 +99,7 @@ def digest(name: str, *, shape: tuple[int, int] | None = None, noise: float = 0.
 def layers(name: str, *, shape: tuple[int, int] | None = None, seed: int = 0) -> tuple[Layer, ...]:
     """Return the layers of a scene, the farthest first; see `scene` for the parameters."""
     name, shape, _, seed = _validated(name, shape, 0.0, seed)
-    return _LAYERS[name](_studio(name, shape, seed))
+    return _LAYERS[name](_builder(name, shape, seed))
 
 
 def _validated(
@@ -123,28 +123,28 @@ def _validated(
     return name, (height, width), noise, seed
 
 
-def _studio(name: str, shape: tuple[int, int], seed: int) -> Studio:
-    return Studio(ALL.index(name), shape, seed)
+def _builder(name: str, shape: tuple[int, int], seed: int) -> SceneBuilder:
+    return SceneBuilder(ALL.index(name), shape, seed)
 
 
-def _flat(s: Studio) -> tuple[Layer, ...]:
+def _flat(s: SceneBuilder) -> tuple[Layer, ...]:
     motion = Motion((0.7, -0.4), s.centre, ((1.004, 0.002), (-0.003, 1.002)))
     return (Layer(s.texture(0, peak=15.0), motion),)
 
 
-def _edge(s: Studio) -> tuple[Layer, ...]:
+def _edge(s: SceneBuilder) -> tuple[Layer, ...]:
     return (
         s.behind(Motion((-1.2, 0.4))),
         s.before(1, Motion((1.5, -0.6)), half_plane(s.centre, 20.0)),
     )
 
 
-def _corner(s: Studio) -> tuple[Layer, ...]:
+def _corner(s: SceneBuilder) -> tuple[Layer, ...]:
     quadrant = both(half_plane(s.centre, 15.0), half_plane(s.centre, 105.0))
     return s.behind(Motion((-0.8, -0.5))), s.before(1, Motion((1.4, 1.1)), quadrant)
 
 
-def _parallax(s: Studio) -> tuple[Layer, ...]:
+def _parallax(s: SceneBuilder) -> tuple[Layer, ...]:
     side = min(s.shape)
     bar = both(half_plane(s.at(-0.4, 0.0), 10.0), half_plane(s.at(-0.15, 0.0), 190.0))
     return (
@@ -154,26 +154,26 @@ def _parallax(s: Studio) -> tuple[Layer, ...]:
     )
 
 
-def _rotation(s: Studio) -> tuple[Layer, ...]:
+def _rotation(s: SceneBuilder) -> tuple[Layer, ...]:
     c, d = math.cos(math.radians(4.0)), math.sin(math.radians(4.0))
     return (Layer(s.texture(0, peak=120.0), Motion((0.0, 0.0), s.centre, ((c, -d), (d, c)))),)
 
 
-def _zoom(s: Studio) -> tuple[Layer, ...]:
+def _zoom(s: SceneBuilder) -> tuple[Layer, ...]:
     return (Layer(s.texture(0, peak=120.0), Motion((0.0, 0.0), s.centre, ((1.04, 0.0), (0.0, 1.04)))),)
 
 
-def _occlusion(s: Studio) -> tuple[Layer, ...]:
+def _occlusion(s: SceneBuilder) -> tuple[Layer, ...]:
     round_one = disc(s.at(-0.05, 0.05), 0.28 * min(s.shape))
     return s.behind(Motion((-1.5, 0.5))), s.before(1, Motion((5.5, -2.0)), round_one)
 
 
-def _large(s: Studio) -> tuple[Layer, ...]:
+def _large(s: SceneBuilder) -> tuple[Layer, ...]:
     round_one = disc(s.at(0.1, -0.05), 0.18 * min(s.shape))
     return s.behind(Motion((10.0, -5.0))), s.before(1, Motion((4.0, 3.0)), round_one)
 
 
-_LAYERS: dict[str, Callable[[Studio], tuple[Layer, ...]]] = {
+_LAYERS: dict[str, Callable[[SceneBuilder], tuple[Layer, ...]]] = {
     "flat": _flat,
     "edge": _edge,
     "corner": _corner,

@@ -23,14 +23,14 @@ from fracbench.data.datasets.synthetic.rendering import (
     Layer,
     Motion,
     Plane,
-    Studio,
+    SceneBuilder,
     Swirl,
     Vector,
     both,
     half_plane,
 )
 
-LONE = ("lone_flat", "lone_edge", "lone_corner", "lone_parallax", "lone_affine", "lone_curl")
+SINGLE_STRUCTURE = ("lone_flat", "lone_edge", "lone_corner", "lone_parallax", "lone_affine", "lone_curl")
 
 #: Largest deviation from the mean of a weak and of a strong texture, and half the step between two surfaces, in
 #: gray levels.
@@ -45,21 +45,21 @@ TURN, SWIRL_SIZE = 0.1, 0.25
 _MOTIONS = 100  # stream of random numbers: those of textures count from 0
 
 
-def _flat(s: Studio) -> tuple[Layer, ...]:
+def _flat(s: SceneBuilder) -> tuple[Layer, ...]:
     return (Layer(s.texture(0, peak=WEAK), Motion(_dice(s)[0])),)
 
 
-def _edge(s: Studio) -> tuple[Layer, ...]:
+def _edge(s: SceneBuilder) -> tuple[Layer, ...]:
     _, degrees = _dice(s)
     return _step(s, half_plane(s.centre, degrees))
 
 
-def _corner(s: Studio) -> tuple[Layer, ...]:
+def _corner(s: SceneBuilder) -> tuple[Layer, ...]:
     _, degrees = _dice(s)
     return _step(s, both(half_plane(s.centre, degrees), half_plane(s.centre, degrees + 90.0)))
 
 
-def _step(s: Studio, support: Callable[[Plane, Plane], Plane]) -> tuple[Layer, ...]:
+def _step(s: SceneBuilder, support: Callable[[Plane, Plane], Plane]) -> tuple[Layer, ...]:
     """Return a bright surface before a dark one that moves against it at half its speed."""
     (right, down), _ = _dice(s)
     return (
@@ -68,7 +68,7 @@ def _step(s: Studio, support: Callable[[Plane, Plane], Plane]) -> tuple[Layer, .
     )
 
 
-def _parallax(s: Studio) -> tuple[Layer, ...]:
+def _parallax(s: SceneBuilder) -> tuple[Layer, ...]:
     (right, down), degrees = _dice(s)
     return (
         Layer(s.texture(0, peak=STRONG), Motion((0.75 * right, 0.75 * down))),
@@ -76,7 +76,7 @@ def _parallax(s: Studio) -> tuple[Layer, ...]:
     )
 
 
-def _affine(s: Studio) -> tuple[Layer, ...]:
+def _affine(s: SceneBuilder) -> tuple[Layer, ...]:
     (right, down), degrees = _dice(s)
     nx, ny = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
     speed = math.hypot(right, down)
@@ -85,20 +85,20 @@ def _affine(s: Studio) -> tuple[Layer, ...]:
     return (Layer(s.texture(0, peak=STRONG), Motion((right, down), s.centre, slant)),)
 
 
-def _curl(s: Studio) -> tuple[Layer, ...]:
+def _curl(s: SceneBuilder) -> tuple[Layer, ...]:
     velocity, degrees = _dice(s)
     turn = TURN if degrees < 180.0 else -TURN
     return (Layer(s.texture(0, peak=STRONG), Swirl(velocity, s.centre, turn, SWIRL_SIZE * min(s.shape))),)
 
 
-def _dice(s: Studio) -> tuple[Vector, float]:
+def _dice(s: SceneBuilder) -> tuple[Vector, float]:
     """Return a velocity and a direction in degrees, the same at every call."""
     rng = s.random(_MOTIONS)
     speed, heading, degrees = rng.uniform(*SPEEDS), rng.uniform(0.0, 2.0 * math.pi), rng.uniform(0.0, 360.0)
     return (speed * math.cos(heading), speed * math.sin(heading)), degrees
 
 
-BUILDERS: dict[str, Callable[[Studio], tuple[Layer, ...]]] = {
+BUILDERS: dict[str, Callable[[SceneBuilder], tuple[Layer, ...]]] = {
     "lone_flat": _flat,
     "lone_edge": _edge,
     "lone_corner": _corner,

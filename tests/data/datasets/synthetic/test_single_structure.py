@@ -8,7 +8,7 @@ import scipy.optimize
 
 from fracbench.data.datasets.synthetic.rendering import Swirl
 from fracbench.data.datasets.synthetic.scenes import digest, layers, scene
-from fracbench.data.datasets.synthetic.single_structure import LONE, SLANT, SPEEDS, STEP
+from fracbench.data.datasets.synthetic.single_structure import SINGLE_STRUCTURE, SLANT, SPEEDS, STEP
 
 SEEDS = (0, 1, 5)
 
@@ -18,7 +18,7 @@ def seed(request) -> int:
     return request.param
 
 
-@pytest.mark.parametrize("name", LONE)
+@pytest.mark.parametrize("name", SINGLE_STRUCTURE)
 class TestEveryScene:
     def test_levels_size_and_truth(self, name, seed):
         s = scene(name, seed=seed)
@@ -128,5 +128,5 @@ PINNED = {
 
 def test_a_changed_rendering_needs_a_new_generator_version():
     """If this fails, raise `scenes.GENERATOR_VERSION` and put the new values here."""
-    rendered = {name: scene(name, noise=1.0, seed=1).frame1[50, 60] for name in LONE}
+    rendered = {name: scene(name, noise=1.0, seed=1).frame1[50, 60] for name in SINGLE_STRUCTURE}
     assert rendered == pytest.approx(PINNED, abs=1e-6)

@@ -1,0 +1,67 @@
+"""The gradient operator that a boundary rule and an order ask for.
+
+==========  =========================================  =====================================  ============
+boundary    u outside the image                        derivatives (pairs)                    basis
+==========  =========================================  =====================================  ============
+`zero`      0 (the paper's Dirichlet condition)        left                                   eigenvectors
+`reflect`   mirrored about the edges                   left and right, each weighing 1/2      DCT-II
+`natural`   no flux (alpha = 1 only; Algorithm 3)      forward differences                    DCT-II
+==========  =========================================  =====================================  ============
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fracbench.errors import InputError, unknown_name
+from fracbench.model.operators.base import GradientOperator
+from fracbench.model.operators.forward import ForwardDifferences
+from fracbench.model.operators.reflect import ReflectGradient
+from fracbench.model.operators.zero import ZeroGradient
+
+BOUNDARIES = ("zero", "reflect", "natural")
+ALPHA_RANGE = (0.0, 2.0)
+
+
+def make_operator(
+    boundary: str, alpha: float, shape: tuple[int, int], dtype: np.dtype | type = np.float64, pad: int = 0
+) -> GradientOperator:
+    """Return the gradient operator for a boundary rule.
+
+    Parameters
+    ----------
+    boundary : {'zero', 'reflect', 'natural'}
+        Boundary rule, see the table above.
+    alpha : float
+        Order in [0, 2].
+    shape : tuple of int
+        ``(H, W)``.
+    dtype : dtype-like, optional
+        float32 or float64.
+    pad : int, optional
+        Padding in pixels; `zero` only.
+
+    Returns
+    -------
+    GradientOperator
+        The operator.
+
+    Raises
+    ------
+    InputError
+        Unknown boundary, `alpha` outside its range, or a combination that is not defined.
+    """
+    low, high = ALPHA_RANGE
+    if not low <= alpha <= high:
+        raise InputError(f"`alpha` must lie in [{low:g}, {high:g}], got {alpha:g}")
+    if pad and boundary != "zero":
+        raise InputError(f"`pad` belongs to boundary=zero, got pad={pad} with boundary={boundary}")
+    if boundary == "zero":
+        return ZeroGradient(alpha, shape, dtype, pad)
+    if boundary == "reflect":
+        return ReflectGradient(alpha, shape, dtype)
+    if boundary == "natural":
+        if alpha != 1.0:
+            raise InputError(f"boundary=natural is defined for alpha = 1, got alpha = {alpha:g}")
+        return ForwardDifferences(alpha, shape, dtype)
+    raise unknown_name("boundary", boundary, BOUNDARIES)
