@@ -55,7 +55,7 @@ def report(
     InputError
         Anything that the user can put right.
     """
-    from fracbench.harness.run.pool import side_by_side
+    from fracbench.harness.run.pool import parallel_map
     from fracbench.report.page.beyond import EXPERIMENTS
     from fracbench.report.page.gallery import compute_flow, missing_flows
     from fracbench.report.page.html import write_report
@@ -84,7 +84,7 @@ def report(
     sources = Sources(start.config.results, settings, small, plans)
     drawing = [(_draw, experiment, plans[name], Path.cwd()) for name, experiment in experiments.items()]
     flows = [(compute_flow, *flow) for flow in missing_flows(sources)]
-    finished = side_by_side(_call, [*drawing, *flows], workers, "all points are stored")
+    finished = parallel_map(_call, [*drawing, *flows], workers, "all points are stored")
     verdicts = [] if beyond else write_verdicts(sources)  # which are the paper's alone; meanwhile others draw
     for name, plan in plans.items():
         files = next(finished)

@@ -1,6 +1,6 @@
 """``python logged_sweep.py LOG SECONDS ARGUMENTS...``: the command line, whose workers keep a log behind its back.
 
-A line ``start KEY PID`` comes before a point is computed, a line ``end KEY PID`` after its row is in the spool;
+A line ``start KEY PID`` comes before a point is computed, a line ``end KEY PID`` after its row is in the store;
 each point takes SECONDS. Its errors are made up from its key: to import the solver takes a worker longer than all
 that is tested here.
 """
@@ -16,13 +16,19 @@ from fracbench.harness.run import pool as workers
 
 
 def install(log: Path, seconds: float) -> None:
-    def serve(line, parent):  # both reach the workers by value
+    real = workers._compute
+
+    def compute(job, store, marks, parent):  # reaches the workers by value
+        import os
         import sys
         import time
         from types import SimpleNamespace
 
-        from fracbench.harness.run import pool as workers
         from fracbench.harness.run.message import Outcome
+
+        def say(what):
+            with log.open("a") as file:
+                file.write(f"{what} {job.key} {os.getpid()}\n")
 
         def run_point(point, folder, guard):
             with guard():
@@ -40,22 +46,12 @@ def install(log: Path, seconds: float) -> None:
             return Outcome("done", None, made_up, 0.1, None, {"host": "here"})
 
         sys.modules["fracbench.harness.run.compute_point"] = SimpleNamespace(run_point=run_point)
-        workers._serve(line, parent)
-
-    def compute(job, folder, parent):
-        import os
-
-        from fracbench.harness.run import pool as workers
-
-        def say(what):
-            with log.open("a") as file:
-                file.write(f"{what} {job.key} {os.getpid()}\n")
-
         say("start")
-        workers._compute(job, folder, parent)
+        row = real(job, store, marks, parent)
         say("end")
+        return row
 
-    workers._serve, workers._compute = serve, compute
+    workers._compute = compute
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ import tempfile
 import threading
 import time
 import uuid
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -24,7 +24,8 @@ from fracbench.data.datasets.registry import get_dataset
 from fracbench.errors import FracbenchError, InputError
 from fracbench.harness.run import provenance
 from fracbench.harness.run.message import Job
-from fracbench.harness.run.store import Row
+from fracbench.harness.run.pool import Ended
+from fracbench.harness.run.store import Row, Store
 from fracbench.model import SOLVER_VERSION
 
 _log = logging.getLogger(__name__)
@@ -38,13 +39,15 @@ _LOOK_SECONDS = 0.2
 _MISSES = 2
 
 
-class DaskCrew:
-    """The workers of a cluster that is running; they may come and go. See `fracbench.harness.run.pool.Crew`.
+class DaskPool:
+    """The workers of a cluster that is running; they may come and go. See `fracbench.harness.run.pool.Pool`.
 
     Parameters
     ----------
     address : str or None
         Of the scheduler.
+    store : Store
+        Where rows are put as they arrive.
 
     Raises
     ------
@@ -54,8 +57,8 @@ class DaskCrew:
 
     retry_alone = False
 
-    def __init__(self, address: str | None) -> None:
-        self._address = address
+    def __init__(self, address: str | None, store: Store) -> None:
+        self._address, self._store = address, store
         self._client = _connect(address)
         self._topic = f"fracbench-{uuid.uuid4().hex}"
         self._client.subscribe_topic(self._topic, self._receive)
@@ -71,10 +74,29 @@ class DaskCrew:
         row = Row.from_json(event[1])
         self._rows[row.key] = row
 
-    def free(self) -> int:
-        """Return the number of workers without a job."""
-        self._look()
-        return len(self._idle())
+    def compute(self, jobs: Iterable[Job]) -> Ended:
+        """Compute jobs; see `fracbench.harness.run.pool.Pool`.
+
+        Raises
+        ------
+        FracbenchError
+            The scheduler has gone, or a worker cannot run jobs at all.
+        """
+        jobs, ended = iter(jobs), list[tuple[str, Row | None]]()
+        job = next(jobs, None)
+        while True:
+            self._look()
+            for worker in self._idle():
+                if job is not None:
+                    self._send(worker, job)
+                    job = next(jobs, None)
+            for key, row in ended:  # after sending, so that no worker waits for the disk
+                if row is not None:
+                    self._store.put(row)
+                yield key, row
+            if job is None and not self._busy:
+                return
+            ended = self._wait(_LOOK_SECONDS)
 
     def _idle(self) -> list[str]:
         return [worker for worker in self._present if worker not in self._busy]
@@ -98,11 +120,8 @@ class DaskCrew:
         for worker in self._busy:
             self._misses[worker] = 0 if worker in self._present else self._misses.get(worker, 0) + 1
 
-    def start(self, job: Job) -> None:
-        """Send a job to an idle worker, and before its first point of a sequence the files."""
-        self._send(self._idle()[0], job)
-
     def _send(self, worker: str, job: Job) -> None:
+        """Send a job to an idle worker, and before its first point of a sequence the files."""
         digest, held = job.point.data_digest, self._holds.setdefault(worker, set())
         files = {} if digest in held else _files(job)
         held.add(digest)
@@ -113,14 +132,8 @@ class DaskCrew:
         self._misses[worker] = 0
         future.add_done_callback(lambda ended: self._ended.put((worker, ended)))
 
-    def wait(self, seconds: float) -> list[tuple[str, Row | None]]:
-        """Return the keys of jobs that ended, with their rows; no row if the worker has gone.
-
-        Raises
-        ------
-        FracbenchError
-            The scheduler has gone, or a worker cannot run jobs at all.
-        """
+    def _wait(self, seconds: float) -> list[tuple[str, Row | None]]:
+        """Return the keys of jobs that ended, with their rows; no row if the worker has gone."""
         ended: list[tuple[str, Row | None]] = []
         with suppress(Empty):
             message = self._ended.get(timeout=seconds)

@@ -1,156 +1,141 @@
-"""Worker processes on this machine: joblib's, one a place."""
+"""Worker processes: the pools that compute points, and a parallel map; here they are joblib's.
+
+joblib ends all workers of a pool when one dies. So a worker stores the row of its point itself, and keeps a file,
+its mark, while it computes one: the marks that remain tell which points may have been the cause.
+"""
 
 from __future__ import annotations
 
-import enum
+import faulthandler
 import os
 import signal
+import tempfile
 import threading
 import time
-import typing
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from multiprocessing import connection
-from multiprocessing.connection import Connection
+import warnings
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TextIO, TypeVar
 
 from fracbench.errors import FracbenchError
-from fracbench.harness.run import provenance, spool
+from fracbench.harness.run import provenance
 from fracbench.harness.run.message import Job
-from fracbench.harness.run.provenance import return_what_is_freed
-from fracbench.harness.run.store import Row
+from fracbench.harness.run.store import Row, Store
 
 T = TypeVar("T")
 
-#: So many workers in a row may die before they are ready for a point.
-MAX_STILLBORN = 2
+#: The keys of jobs that ended, and their rows: None if a worker died.
+Ended = Generator[tuple[str, Row | None], None, None]
 
-_THREADS = (
-    "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS",
-    "VECLIB_MAXIMUM_THREADS", "NUMEXPR_NUM_THREADS", "NUMBA_NUM_THREADS"
-)  # fmt: skip
+#: So many times in a row the workers may die before they begin with a point.
+MAX_FALSE_STARTS = 2
+
 _LOOK_SECONDS = 0.5
+#: After its time an estimate is interrupted; if that does not help, the process ends so many seconds later.
+_GRACE_SECONDS = 1.0
 
 
-class Crew(Protocol):
-    """What runs jobs, here or elsewhere; each in a process where nothing else runs."""
+class Pool(Protocol):
+    """Worker processes, each of which computes one point at a time."""
 
-    #: Whether a job that has lost its worker once must not share the machine with another.
+    #: Whether a job whose worker has died may have died with another's, and has to be computed alone next.
     retry_alone: bool
 
-    def free(self) -> int:
-        """Return how many jobs could be started now."""
-        ...
+    def compute(self, jobs: Iterable[Job]) -> Ended:
+        """Compute jobs, taken as workers become free, maybe in another thread.
 
-    def start(self, job: Job) -> None:
-        """Start a job; only if a place is free."""
-        ...
-
-    def wait(self, seconds: float) -> list[tuple[str, Row | None]]:
-        """Return the keys of jobs that ended, after `seconds` at most; no row if the worker died."""
+        Yields
+        ------
+        key : str
+            Of a job that ended.
+        row : Row or None
+            Its row, which is in the store; None if its worker died. When the workers of all jobs die at once, the
+            jobs that had not begun are left out.
+        """
         ...
 
     def close(self) -> None:
-        """Stop at once what still runs."""
+        """Leave the workers."""
         ...
 
 
-class LocalCrew:
-    """Processes on this machine, one for each place.
-
-    A death concerns one job and no other. A row comes by the spool: a process that dies right after it has written
-    one has lost nothing. Idle processes stay for the next crew, as starting one takes a second. The time that a
-    job may take is kept here, where nothing that it does can stop the clock.
+class LocalPool:
+    """Processes of joblib on this machine, which stay for the next pool.
 
     Parameters
     ----------
     jobs : int
-        Places; a process is started when a job needs it.
-    folder : Path
-        The spool.
+        Processes that compute at the same time.
+    store : Store
+        Where the workers put their rows.
     """
 
     retry_alone = True
 
-    def __init__(self, jobs: int, folder: Path) -> None:
-        self._jobs, self._folder = jobs, folder.resolve()
-        self._busy: dict[Connection, _Place] = {}
-        self._spare: list[_Place] = []
-        self._stillborn = 0
+    def __init__(self, jobs: int, store: Store) -> None:
+        self._jobs, self._store, self._path = jobs, store, store.path.resolve()
+        self._marks = tempfile.TemporaryDirectory(prefix="fracbench-", ignore_cleanup_errors=True)
+        self._false_starts = 0
 
-    def free(self) -> int:
-        """Return the number of places without a job."""
-        return self._jobs - len(self._busy)
-
-    def start(self, job: Job) -> None:
-        """Start a job in an idle process, or in a new one."""
-        while True:
-            place = self._spare.pop() if self._spare else _idle.pop() if _idle else _Place()
-            if place.give(job, self._folder):
-                self._busy[place.line] = place
-                return
-            place.close()  # it died while it was idle
-
-    def wait(self, seconds: float) -> list[tuple[str, Row | None]]:
-        """Return the keys of jobs that ended or took too long, with their rows; no row if the process died.
+    def compute(self, jobs: Iterable[Job]) -> Ended:
+        """Compute jobs; see `Pool`.
 
         Raises
         ------
         FracbenchError
-            Processes die before they are ready, or a row could not be written to the spool.
+            Workers die before they begin, or the store cannot be written.
         """
-        if not self._busy:
-            time.sleep(seconds)
-        until = time.monotonic() + seconds
-        found: list[tuple[str, Row | None]] = []
-        while not found and (left := until - time.monotonic()) > 0.0 and self._busy:
-            for line in connection.wait(list(self._busy), left):
-                found += self._hear(self._busy[typing.cast("Connection", line)])
-        overdue = [place for place in self._busy.values() if place.overdue()]
-        return [*found, *map(self._give_up, overdue)]
+        given: dict[str, Job] = {}
+        failures: list[Exception] = []
 
-    def _hear(self, place: _Place) -> list[tuple[str, Row | None]]:
-        """Take what a process says: nothing if its job goes on."""
+        def calls() -> Iterator[Any]:
+            from joblib import delayed
+
+            try:
+                for job in jobs:
+                    given[job.key] = job
+                    yield delayed(_compute)(job, self._path, self._marks.name, os.getpid())
+            except Exception as exc:  # joblib would wait forever: it takes the jobs in a thread of its own
+                failures.append(exc)
+
+        # With one process joblib would compute in this one; of two, one is idle when one job is out at a time.
+        ahead = 1 if self._jobs == 1 else 2 * self._jobs
         try:
-            said = place.hear()
-        except (EOFError, OSError):
-            return self._bury(place)
-        if said is _Word.ENDED:
-            self._stillborn = 0
-            del self._busy[place.line]
-            self._spare.append(place)
-            return [(place.job.key, spool.read(self._folder, place.job.key))]
-        if isinstance(said, str):
-            raise FracbenchError(said)
-        return []
+            with closing(_unordered(calls(), max(self._jobs, 2), ahead)) as rows:
+                for row in rows:
+                    del given[row.key]
+                    self._mark(row.key).unlink()
+                    self._false_starts = 0
+                    yield row.key, row
+        except BrokenProcessPool:
+            yield from self._died([*given.values()])
+        if failures:
+            raise failures[0]
 
-    def _bury(self, place: _Place) -> list[tuple[str, Row | None]]:
-        del self._busy[place.line]
-        place.close()
-        if place.ready:
-            self._stillborn = 0
-            return [(place.job.key, spool.read(self._folder, place.job.key))]
-        self._stillborn += 1
-        if self._stillborn == MAX_STILLBORN:
+    def _died(self, jobs: Sequence[Job]) -> Ended:
+        """Yield the jobs that had begun when the workers died: without a row, unless their time was over."""
+        begun = [(job, mark) for job in jobs if (mark := self._mark(job.key)).exists()]
+        self._false_starts = 0 if begun else self._false_starts + 1
+        if self._false_starts == MAX_FALSE_STARTS:
             raise FracbenchError("worker processes die before they begin with a point (out of memory?)")
-        self.start(place.job)
-        return []
+        for job, mark in begun:
+            over_time = mark.stat().st_size > 0
+            mark.unlink()
+            if over_time:
+                self._store.put(job.expired(provenance.machine()))
+            yield job.key, self._store.get(job.key) if over_time else None
 
-    def _give_up(self, place: _Place) -> tuple[str, Row]:
-        del self._busy[place.line]
-        place.close()
-        return place.job.key, spool.read(self._folder, place.job.key) or place.job.expired(provenance.machine())
+    def _mark(self, key: str) -> Path:
+        return Path(self._marks.name) / key
 
     def close(self) -> None:
-        """Kill the processes that have a job, which is given up."""
-        for place in self._busy.values():
-            place.close()
-        _idle.extend(self._spare)
-        self._busy, self._spare = {}, []
+        """Remove the marks."""
+        self._marks.cleanup()
 
 
-def side_by_side(
+def parallel_map(
     function: Callable[..., T], arguments: Sequence[tuple[Any, ...]], jobs: int, kept: str
 ) -> Iterator[T]:
     """Call a function with each of some arguments in joblib's processes, from now on; yield the results in order.
@@ -158,141 +143,95 @@ def side_by_side(
     Parameters
     ----------
     function : callable
-        What to call; in a process that may have been started in another folder.
+        The function; it may run in a process that was started in another folder.
     arguments : sequence of tuple
         A tuple a call.
     jobs : int
         Processes; if they are one, the calls are made here, each as its result is asked for.
     kept : str
-        What is not lost if one of them dies, for the message.
+        The work that is not lost if a process dies, for the message.
 
     Raises
     ------
     FracbenchError
         A process died.
     """
-    from joblib import Parallel, delayed, parallel_config
+    from joblib import delayed
 
-    with parallel_config("loky", inner_max_num_threads=1):
-        pool = Parallel(min(jobs, max(len(arguments), 1)), return_as="generator", batch_size=1)
-    return _outcomes(pool(delayed(function)(*each) for each in arguments), kept)
+    pool = _parallel(min(jobs, max(len(arguments), 1)), return_as="generator")
+    return _results(pool(delayed(function)(*each) for each in arguments), kept)
 
 
-def _outcomes(outcomes: Iterator[T], kept: str) -> Iterator[T]:
-    from joblib.externals.loky.process_executor import BrokenProcessPool
-
+def _results(results: Iterator[T], kept: str) -> Iterator[T]:
     try:
-        yield from outcomes
+        yield from results
     except BrokenProcessPool as exc:
         raise FracbenchError(
             f"a worker process died (out of memory, or a crash); {kept}, and the same command goes on from there"
         ) from exc
 
 
-class _Word(enum.Enum):
-    """What a worker says; a sentence instead says what went wrong."""
+def _parallel(jobs: int, **options: Any) -> Any:
+    from joblib import Parallel, parallel_config
 
-    READY = enum.auto()
-    ESTIMATING = enum.auto()
-    ESTIMATED = enum.auto()
-    ENDED = enum.auto()
+    with parallel_config("loky", inner_max_num_threads=1, initializer=_prepare, initargs=(os.getpid(),)):
+        return Parallel(jobs, batch_size=1, max_nbytes=None, **options)
 
 
-class _Place:
-    """A process that computes the jobs which come over a line, and says over it how far it is.
-
-    A line takes a fraction of the time that a task of an executor does; it breaks with the process.
-    """
-
-    def __init__(self) -> None:
-        from joblib.externals.loky.backend import get_context
-
-        context = get_context("loky")
-        self.line, theirs = context.Pipe()
-        threads = dict.fromkeys(_THREADS, "1")
-        self._process = context.Process(target=_serve, args=(theirs, os.getpid()), daemon=True, env=threads)
-        with _deaf_to_ctrl_c():
-            self._process.start()
-        theirs.close()  # or the line would not break
-
-    @property
-    def pid(self) -> int:
-        """The number that the system gives the process."""
-        pid: int = self._process.pid
-        return pid
-
-    def give(self, job: Job, folder: Path) -> bool:
-        """Start a job; False if the process has died while it was idle."""
-        from joblib.externals.loky.backend.reduction import dumps
-
-        self.job, self.ready = job, False
-        self._began: float | None = None
-        try:
-            self.line.send_bytes(dumps((_compute, job, folder)))
-        except OSError:
-            return False
-        return True
-
-    def hear(self) -> _Word | str:
-        """Return the next thing that the process says; EOFError or OSError if it has died."""
-        said: _Word | str = self.line.recv()
-        self.ready = True
-        self._began = time.monotonic() if said is _Word.ESTIMATING else None
-        return said
-
-    def overdue(self) -> bool:
-        """Tell whether the estimate, which alone is timed, runs for longer than it may."""
-        allowed = self.job.timeout
-        return self._began is not None and allowed is not None and time.monotonic() - self._began > allowed
-
-    def close(self) -> None:
-        """Kill the process."""
-        if self._process.exitcode is None:
-            os.kill(self.pid, getattr(signal, "SIGKILL", signal.SIGTERM))
-        self._process.join()
-        self.line.close()
-
-
-_idle: list[_Place] = []
+def _unordered(calls: Iterator[Any], jobs: int, ahead: int) -> Generator[Row, None, None]:
+    pool = _parallel(jobs, pre_dispatch=ahead, return_as="generator_unordered")
+    with _ctrl_c_ignored():
+        rows = pool(calls)
+    try:
+        for row in rows:  # noqa: UP028 (`yield from` would close it without the filter)
+            yield row
+    finally:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # some results were not asked for
+            rows.close()
 
 
 @contextmanager
-def _deaf_to_ctrl_c() -> Iterator[None]:
-    """Let processes that are started here ignore Ctrl-C, which the terminal sends to all: the parent acts."""
-    if not hasattr(signal, "pthread_sigmask"):
+def _ctrl_c_ignored() -> Iterator[None]:
+    """Let processes that are started here ignore Ctrl-C, which a terminal sends to all: the parent acts."""
+    if threading.current_thread() is not threading.main_thread():
         yield
         return
-    from multiprocessing import resource_tracker
-
-    resource_tracker.ensure_running()  # its start, with the first worker, would lift the block
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        signal.signal(signal.SIGINT, before)
 
 
-_line: Connection  # a worker's, to its parent
+# -- in a worker -------------------------------------------------------------------------------------------------
 
 
-def _serve(line: Connection, parent: int) -> None:
-    """In a worker: compute the jobs that come over the line until it ends, or the parent does."""
-    global _line
-    _line = line
-    return_what_is_freed()
-    threading.Thread(target=_end_with, args=(parent,), name="parent", daemon=True).start()
-    from fracbench.harness.run import compute_point as task  # noqa: F401
+def _compute(job: Job, store: Path, marks: str, parent: int) -> Row:
+    """Compute a job, store its row and return it."""
+    from fracbench.harness.run import compute_point as task
 
-    with suppress(EOFError, OSError):
-        while True:
-            compute, job, folder = line.recv()
-            line.send(_Word.READY)
+    mark = Path(marks) / job.key
+    try:
+        with mark.open("w") as file:
             try:
-                compute(job, folder, parent)
-            except BaseException as exc:
-                line.send(_explain(exc, folder))
-            else:
-                line.send(_Word.ENDED)
+                row = job.row(task.run_point(job.point, job.folder, lambda: _timed(job.timeout, file)))
+            except _OverTime:
+                row = job.expired(provenance.machine())
+        if os.getppid() != parent:
+            os._exit(1)  # a sweep that was started since may be computing this point
+        with Store(store) as opened:
+            opened.put(row)
+    except OSError as exc:
+        raise FracbenchError(f"{exc.filename}: {exc.strerror}; free some space or make it writable") from exc
+    return row
+
+
+def _prepare(parent: int) -> None:
+    """Let this process end with its parent, leave Ctrl-C to it, and give freed memory back."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with, args=(parent,), name="parent", daemon=True).start()
+    provenance.return_what_is_freed()
 
 
 def _end_with(parent: int) -> None:
@@ -301,27 +240,28 @@ def _end_with(parent: int) -> None:
     os._exit(1)
 
 
-def _compute(job: Job, folder: Path, parent: int) -> None:
-    """In a worker: compute a job and leave its row in the spool."""
-    from fracbench.harness.run import compute_point as task
+class _OverTime(BaseException):
+    """The time that an estimate may take is over."""
 
-    row = job.row(task.run_point(job.point, job.folder, _timed))
-    if os.getppid() != parent:
-        os._exit(1)  # a sweep that was started since may be computing this point
-    spool.write(folder, row)
+
+def _interrupt(*_: object) -> None:
+    raise _OverTime
 
 
 @contextmanager
-def _timed() -> Iterator[None]:
-    """Let the parent, whose clock no computation stops, know that an estimate runs."""
-    _line.send(_Word.ESTIMATING)
+def _timed(seconds: float | None, mark: TextIO) -> Iterator[None]:
+    """Interrupt an estimate that takes too long; if that does not help, write to the mark and end the process."""
+    if seconds is None:
+        yield
+        return
+    gentle = hasattr(signal, "setitimer")
+    faulthandler.dump_traceback_later(seconds + _GRACE_SECONDS * gentle, exit=True, file=mark)
+    if gentle:
+        signal.signal(signal.SIGALRM, _interrupt)
+        signal.setitimer(signal.ITIMER_REAL, seconds)
     try:
         yield
     finally:
-        _line.send(_Word.ESTIMATED)
-
-
-def _explain(error: BaseException, folder: Path) -> str:
-    if isinstance(error, OSError):
-        return f"{folder}: {error.strerror}; free some space or make it writable, and run the same command again"
-    return f"a worker process failed: {type(error).__name__}: {error}"
+        if gentle:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+        faulthandler.cancel_dump_traceback_later()

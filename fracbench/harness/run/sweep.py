@@ -2,26 +2,33 @@
 
 from __future__ import annotations
 
+import importlib.util
+import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing
+from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
 
 from fracbench.errors import InputError
-from fracbench.harness.run import provenance, spool
+from fracbench.harness.run import provenance
 from fracbench.harness.run.cost import pixels
 from fracbench.harness.run.message import Job, Outcome
 from fracbench.harness.run.plan import Plan
 from fracbench.harness.run.point import Point
-from fracbench.harness.run.pool import Crew, LocalCrew
+from fracbench.harness.run.pool import LocalPool, Pool
 from fracbench.harness.run.store import Row, Store
 from fracbench.model import SOLVER_VERSION
 
 #: So often a point is started whose worker dies.
 MAX_ATTEMPTS = 2
 
-#: How long to wait for a sign of life before looking around, seconds.
+#: None on Windows, where two sweeps at once are as safe but do not share the work.
+fcntl: Any = importlib.import_module("fcntl") if importlib.util.find_spec("fcntl") else None
+
+#: How long to wait before asking again for points that another sweep has claimed, seconds.
 _LOOK_SECONDS = 0.2
 
 OnRow = Callable[[Row], None]
@@ -55,7 +62,7 @@ class Report:
 
 
 def missing(plan: Plan, store: Store, *, rerun_failed: bool = False) -> tuple[Report, dict[str, Point]]:
-    """Compare a plan with the store, after storing what earlier runs finished and did not live to store.
+    """Compare a plan with the store.
 
     Parameters
     ----------
@@ -74,7 +81,7 @@ def missing(plan: Plan, store: Store, *, rerun_failed: bool = False) -> tuple[Re
         What has to be computed, in the order of the plan.
     """
     if not store.readonly:
-        spool.harvest(store)
+        _take_loose_rows(store)
     points = plan.unique()
     stored = store.get_many(points)
     report, todo = Report(), {}
@@ -87,6 +94,14 @@ def missing(plan: Plan, store: Store, *, rerun_failed: bool = False) -> tuple[Re
             todo[key] = point
             report.reasons[_reason(row, point, store)] += 1
     return report, todo
+
+
+def _take_loose_rows(store: Store) -> None:
+    """Store the rows that an older fracbench finished and left beside the store when it was killed."""
+    for path in sorted(claims_folder(store.path).glob("*.json")):
+        with suppress(ValueError):  # cut short
+            store.put(Row.from_json(path.read_text()))
+        path.unlink(missing_ok=True)
 
 
 def _reason(row: Row | None, point: Point, store: Store) -> str:
@@ -142,9 +157,12 @@ def run(
         on_start(report, len(todo))
     if not todo:
         return report
-    folder = spool.folder_of(store.path)
-    with _claims(folder) as claims, closing(_crew(plan, jobs, folder)) as crew:
-        for row, computed in _Sweep(todo, store, claims, crew, plan).rows():
+    with (
+        Claims(claims_folder(store.path)) as claims,
+        closing(_pool(plan, jobs, store)) as pool,
+        closing(_Sweep(todo, store, claims, pool, plan).rows()) as rows,
+    ):
+        for row, computed in rows:
             report.rows[row.key] = row
             report.computed += computed
             report.reused += not computed
@@ -153,35 +171,20 @@ def run(
     return report
 
 
-def _claims(folder: Path) -> spool.Claims:
-    try:
-        return spool.Claims(folder)
-    except OSError as exc:
-        raise InputError(f"{folder}: {exc.strerror}; make it a folder that can be written to") from exc
-
-
-def _crew(plan: Plan, jobs: int, folder: Path) -> Crew:
+def _pool(plan: Plan, jobs: int, store: Store) -> Pool:
     parallel = plan.config.parallel
     if parallel.backend == "dask":
-        from fracbench.harness.run.dask import DaskCrew
+        from fracbench.harness.run.dask import DaskPool
 
-        return DaskCrew(parallel.address)
-    return LocalCrew(jobs, folder)
+        return DaskPool(parallel.address, store)
+    return LocalPool(jobs, store)
 
 
 class _Sweep:
-    """One run over missing points: what waits, what is under way, what lost its worker."""
+    """One run over missing points: those that wait, are under way, or have lost their worker."""
 
-    def __init__(
-        self,
-        todo: Mapping[str, Point],
-        store: Store,
-        claims: spool.Claims,
-        crew: Crew,
-        plan: Plan,
-    ) -> None:
-        self._todo, self._store, self._claims, self._crew = todo, store, claims, crew
-        self._spool = spool.folder_of(store.path)
+    def __init__(self, todo: Mapping[str, Point], store: Store, claims: Claims, pool: Pool, plan: Plan) -> None:
+        self._todo, self._store, self._claims, self._pool = todo, store, claims, pool
         self._folder = None if plan.folder is None else plan.folder.resolve()
         self._timeout, self._commit = plan.config.parallel.timeout, provenance.commit()
         # The longest go first, so that no worker is left with one of them in the end.
@@ -189,60 +192,137 @@ class _Sweep:
         self._retries: deque[str] = deque()
         self._attempts = Counter[str]()
         self._under_way: set[str] = set()
+        self._claimed: list[str] = []  # by another sweep
+        self._found: list[Row] = []  # of another sweep
         self._before = store.get_many(todo)  # rows that are to be replaced
 
-    def rows(self) -> Iterator[tuple[Row, bool]]:
+    def rows(self) -> Generator[tuple[Row, bool], None, None]:
         """Yield stored rows, and whether they were computed here."""
-        while self._waiting or self._retries or self._under_way:
-            yield from self._start()
-            ended = self._crew.wait(_LOOK_SECONDS)
-            self._under_way.difference_update(key for key, _ in ended)
-            yield from self._start()  # before storing, so that no worker waits for the disk
+        while self._waiting or self._retries:
+            keys, ended = self._waiting, False
+            if not keys and self._pool.retry_alone:
+                keys = deque([self._retries.popleft()])
+            elif not keys:
+                keys, self._retries = self._retries, deque()
+            for ended_row in self._compute(keys):
+                ended = True
+                yield ended_row
+            self._waiting.extend(self._claimed)
+            self._claimed.clear()
+            if not ended:
+                time.sleep(_LOOK_SECONDS)
+
+    def _compute(self, keys: deque[str]) -> Iterator[tuple[Row, bool]]:
+        """Compute points until there are no more or workers have died."""
+        with closing(self._pool.compute(self._jobs(keys))) as ended:
             for key, row in ended:
-                stored = self._settle(key, row)
-                if stored is not None:
-                    yield stored
-
-    def _start(self) -> Iterator[tuple[Row, bool]]:
-        """Give work to all that are free; yield what another sweep has finished instead."""
-        for _ in range(len(self._waiting)):
-            if not self._crew.free():
-                return
-            key = self._waiting.popleft()
-            if not self._claims.take(key):
+                self._under_way.remove(key)
+                yield from self._settle(key, row)
+                while self._found:
+                    yield self._found.pop(), False
+        while self._found:
+            yield self._found.pop(), False
+        for key in self._under_way:  # not begun when workers died, or ended at the same moment
+            row = self._new(key)
+            if row is None:
                 self._waiting.append(key)
-            elif (row := self._found(key)) is not None:
-                self._claims.release(key)
-                yield row, False
             else:
-                self._give(key)
-        while self._retries and self._crew.free():
-            if self._crew.retry_alone and self._under_way:
-                return
-            self._give(self._retries.popleft())
+                yield from self._settle(key, row)
+        self._under_way.clear()
 
-    def _give(self, key: str) -> None:
-        self._under_way.add(key)
-        self._crew.start(self._job(key))
+    def _jobs(self, keys: deque[str]) -> Iterator[Job]:
+        """Claim points and yield them as jobs; note what other sweeps have claimed or finished."""
+        while keys:
+            key = keys.popleft()
+            if not self._claims.take(key):
+                self._claimed.append(key)
+            elif (row := self._new(key)) is not None:
+                self._claims.release(key)
+                self._found.append(row)
+            else:
+                self._under_way.add(key)
+                yield self._job(key)
 
     def _job(self, key: str) -> Job:
         attempt = self._attempts[key] + 1
         return Job(key, self._todo[key], attempt, SOLVER_VERSION, self._commit, self._folder, self._timeout)
 
-    def _found(self, key: str) -> Row | None:
+    def _new(self, key: str) -> Row | None:
+        """Return the row of a key, unless it is the one from before this sweep."""
         row = self._store.get(key)
         return None if row == self._before.get(key) else row
 
-    def _settle(self, key: str, row: Row | None) -> tuple[Row, bool] | None:
-        """Store the row of a job that ended; without one, try again or give it up."""
-        if row is None and (row := self._found(key)) is None:
-            if self._attempts[key] + 1 < MAX_ATTEMPTS:
-                self._attempts[key] += 1
+    def _settle(self, key: str, row: Row | None) -> Iterator[tuple[Row, bool]]:
+        """Yield the row of a job that ended; without one, try again or give it up."""
+        row = row or self._new(key)
+        if row is None:
+            self._attempts[key] += 1
+            if self._attempts[key] < MAX_ATTEMPTS:
                 self._retries.append(key)
-                return None
+                return
             message = f"the worker process died {MAX_ATTEMPTS} times (out of memory, or a crash)"
+            self._attempts[key] -= 1
             row = self._job(key).row(Outcome("crashed", message, {}, None, None, provenance.machine()))
-        self._store.put(row)
-        spool.remove(self._spool, key)
+            self._store.put(row)
         self._claims.release(key)
-        return row, True
+        yield row, True
+
+
+def claims_folder(store: Path) -> Path:
+    """Return the folder of a store's claims, ``NAME-spool`` beside it."""
+    return store.with_name(f"{store.name}-spool")
+
+
+class Claims:
+    """The points that this process has under way, so that sweeps of one store share the work.
+
+    A claim is a lock on one byte of a file, at an offset given by the key. The system frees it when the process
+    ends, however it ends. Use it in a ``with`` statement.
+
+    Parameters
+    ----------
+    folder : Path
+        From `claims_folder`; it is created.
+
+    Raises
+    ------
+    InputError
+        The folder cannot be made or written to.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        try:
+            folder.mkdir(exist_ok=True)
+            self._file = (folder / "claims").open("ab")
+        except OSError as exc:
+            raise InputError(f"{folder}: {exc.strerror}; make it a folder that can be written to") from exc
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, exc: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+    def take(self, key: str) -> bool:
+        """Claim a point; False if another process has it. Where there are no locks, all claims hold."""
+        if fcntl is None:
+            return True
+        try:
+            fcntl.lockf(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, _offset(key))
+        except (BlockingIOError, PermissionError):
+            return False
+        except OSError:  # a file system without locks
+            return True
+        return True
+
+    def release(self, key: str) -> None:
+        """Give a claim up."""
+        if fcntl is not None:
+            with suppress(OSError):
+                fcntl.lockf(self._file, fcntl.LOCK_UN, 1, _offset(key))
+
+
+def _offset(key: str) -> int:
+    return int(key[:15], 16)  # 60 bits, as many as a file's offset can hold

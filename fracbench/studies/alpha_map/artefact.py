@@ -121,7 +121,7 @@ def _oracle_points(plan: Plan) -> dict[str, list[Point]]:
 
 def _compute_missing(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> None:
     """Compute the bounds of the sequences whose points are all done; a kept one is not computed again."""
-    from fracbench.harness.run.pool import side_by_side
+    from fracbench.harness.run.pool import parallel_map
 
     flows, folder = (ensure_folder(results / RUNS / name).resolve() for name in ("flows", "oracles"))
     window = options(experiment).window
@@ -132,7 +132,7 @@ def _compute_missing(experiment: Experiment, plan: Plan, rows: Mapping[str, Row]
         and not oracle_file(points, window, folder).is_file()
     ]
     jobs = plan.config.parallel.jobs
-    for _ in side_by_side(compute_oracle, todo, jobs, "the bounds that are finished are kept"):
+    for _ in parallel_map(compute_oracle, todo, jobs, "the bounds that are finished are kept"):
         pass
 
 

@@ -17,7 +17,6 @@ pytest.importorskip("distributed", reason="needs the extra `dask`")
 from fracbench.errors import DataError, FracbenchError, InputError
 from fracbench.harness.run import compute_point as task
 from fracbench.harness.run import dask as cluster
-from fracbench.harness.run import spool
 from fracbench.harness.run import sweep as execute
 from fracbench.harness.run.message import Job
 from fracbench.harness.run.plan import make_plan
@@ -124,11 +123,11 @@ def test_what_a_worker_returned_as_it_died_is_not_waited_for(row):
         def result(self, timeout):
             raise TimeoutError
 
-    crew, lost = object.__new__(cluster.DaskCrew), Lost()
-    crew._busy = {"worker": (a_job(key="k"), lost)}
-    crew._rows = {} if row is None else {"k": row}
-    assert crew._end("worker", lost) == [("k", row)]
-    assert crew._busy == {}
+    pool, lost = object.__new__(cluster.DaskPool), Lost()
+    pool._busy = {"worker": (a_job(key="k"), lost)}
+    pool._rows = {} if row is None else {"k": row}
+    assert pool._end("worker", lost) == [("k", row)]
+    assert pool._busy == {}
 
 
 def test_what_a_worker_finished_outlives_it(running, store, monkeypatch, tmp_path):
@@ -213,14 +212,14 @@ def test_points_under_way_end_with_the_sweep(running, store, monkeypatch, tmp_pa
         finally:
             task.run_point = real
 
-    class Interrupted(cluster.DaskCrew):
-        def wait(self, seconds):
+    class Interrupted(cluster.DaskPool):
+        def _wait(self, seconds):
             if len(log.read_text().split()) >= 2:
                 raise KeyboardInterrupt
-            return super().wait(seconds)
+            return super()._wait(seconds)
 
     replace_compute(monkeypatch, instead)
-    monkeypatch.setattr(execute, "_crew", lambda plan, jobs, folder: Interrupted(running.address))
+    monkeypatch.setattr(execute, "_pool", lambda plan, jobs, store: Interrupted(running.address, store))
     with pytest.raises(KeyboardInterrupt):
         execute.run(plan("alpha=0,1,2", "max_iter=1", address=running.address), store, jobs=1)
     for pid in map(int, log.read_text().split()):
@@ -244,7 +243,6 @@ def test_a_scheduler_that_goes_ends_the_sweep_in_one_line(running, store):
         execute.run(made, store, jobs=1, on_row=lambda row: running.close())
     assert len(str(caught.value).splitlines()) == 1
     assert 1 <= len(store.rows()) <= 3
-    assert not list(spool.folder_of(store.path).glob("*.json"))
 
 
 # -- without a cluster -----------------------------------------------------------------------------
@@ -278,11 +276,11 @@ def test_a_worker_with_another_solver_is_refused():
 def test_a_scheduler_that_is_not_there(address, message, monkeypatch):
     monkeypatch.setattr(cluster, "_CONNECT_SECONDS", 0.5)
     with pytest.raises(InputError, match=message) as caught:
-        cluster.DaskCrew(address)
+        cluster.DaskPool(address, None)
     assert len(str(caught.value).splitlines()) == 1
 
 
 def test_dask_that_is_not_installed(monkeypatch):
     monkeypatch.setattr(cluster.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"pip install 'fracbench\[dask\]'"):
-        cluster.DaskCrew("tcp://127.0.0.1:8786")
+        cluster.DaskPool("tcp://127.0.0.1:8786", None)

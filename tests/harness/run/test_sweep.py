@@ -17,7 +17,6 @@ from fracbench.data.regions import Region
 from fracbench.errors import FracbenchError
 from fracbench.harness.run import point as point_module
 from fracbench.harness.run import pool as workers
-from fracbench.harness.run import spool
 from fracbench.harness.run import sweep as execute
 from fracbench.harness.run.message import Job
 from fracbench.harness.run.plan import make_plan
@@ -47,7 +46,7 @@ def replace_point(monkeypatch, instead):
     this process.
     """
 
-    def compute(job, folder, parent):
+    def compute(job, store, marks, parent):
         import os
 
         from fracbench.harness.run import compute_point as task
@@ -64,7 +63,7 @@ def replace_point(monkeypatch, instead):
         assert os.getpid() != parent, "a point was computed in the parent's own process"
         real, task.run_point = task.run_point, run_point
         try:
-            workers._compute(job, folder, parent)
+            return workers._compute(job, store, marks, parent)
         finally:
             task.run_point = real
 
@@ -211,7 +210,7 @@ def read_log(log: Path) -> list[list[str]]:
 
 
 def test_a_worker_that_dies_costs_its_point_one_retry_alone(store, monkeypatch, tmp_path):
-    """Point 0 kills its worker while 1 is under way: 1 goes on, and 0 is tried again when nothing else runs."""
+    """Point 0 kills its worker while 1 is under way: both are tried again, each when nothing else runs."""
     log = tmp_path / "log"
     log.touch()
 
@@ -239,12 +238,13 @@ def test_a_worker_that_dies_costs_its_point_one_retry_alone(store, monkeypatch, 
     assert {alpha: row.status for alpha, row in rows.items()} == {
         "0": "crashed", "1": "done", "0.5": "done", "1.5": "done", "2": "done"
     }  # fmt: skip
-    assert {alpha: row.attempts for alpha, row in rows.items()} == {"0": 2, "1": 1, "0.5": 1, "1.5": 1, "2": 1}
+    assert {alpha: row.attempts for alpha, row in rows.items()} == {"0": 2, "1": 2, "0.5": 1, "1.5": 1, "2": 1}
     assert "the worker process died 2 times" in rows["0"].error
     assert store.get(rows["0"].key).status == "crashed"
     events = read_log(log)
-    assert sorted(alpha for what, alpha in events if what == "start") == ["0", "0", "0.5", "1", "1.5", "2"]
-    assert events[-1] == ["start", "0"]
+    assert sorted(alpha for what, alpha in events if what == "start") == ["0", "0", "0.5", "1", "1", "1.5", "2"]
+    alone = [["start", "0"], ["start", "1"], ["end", "1"]]
+    assert sorted(events[-3:]) == sorted(alone) and events[-3:] != [alone[1], alone[0], alone[2]]
     # ... and the sweep can be run again.
     replace_point(monkeypatch, lambda point, finish: finish())
     report = execute.run(made, store, jobs=2, rerun_failed=True)
@@ -274,16 +274,16 @@ def test_a_worker_that_dies_after_its_point_is_finished_loses_nothing(store, mon
     replace_point(monkeypatch, lambda point, finish: finish())
     finish_and_say = workers._compute
 
-    def compute(job, folder, parent):
+    def compute(job, store, marks, parent):
         import os
 
         with log.open("a") as file:
             file.write(f"start {job.key}\n")
-        finish_and_say(job, folder, parent)
+        finish_and_say(job, store, marks, parent)
         os._exit(9)
 
     monkeypatch.setattr(workers, "_compute", compute)
-    report = execute.run(plan("alpha=0,1,2"), store, jobs=2)
+    report = execute.run(plan("alpha=0,1,2"), store, jobs=1)
     assert {(row.status, row.attempts) for row in report.rows.values()} == {("done", 1)}
     assert len(read_log(log)) == 3
 
@@ -317,7 +317,7 @@ def test_a_point_over_time_is_a_row_and_costs_no_other(store, monkeypatch, tmp_p
 def test_the_estimate_alone_is_timed(store, monkeypatch):
     """Not the start of a worker, nor compilation, nor the errors of the flow."""
 
-    def compute(job, folder, parent):
+    def compute(job, store, marks, parent):
         import time
 
         from fracbench.harness.run import compute_point as task
@@ -333,7 +333,7 @@ def test_the_estimate_alone_is_timed(store, monkeypatch):
         before = task._warm_up, task.flow_errors
         task._warm_up, task.flow_errors = map(slowly, before)
         try:
-            workers._compute(job, folder, parent)
+            return workers._compute(job, store, marks, parent)
         finally:
             task._warm_up, task.flow_errors = before
 
@@ -343,24 +343,32 @@ def test_the_estimate_alone_is_timed(store, monkeypatch):
 
 
 def test_what_was_finished_as_the_time_ended_is_kept(store, fake_rows):
-    """The row is in the spool although the process is killed."""
+    """The row is in the store although the process ended itself."""
     (row,) = fake_rows(plan("alpha=0")).values()
-    folder = spool.folder_of(store.path)
-    folder.mkdir()
-    spool.write(folder, row)
-    with closing(workers.LocalCrew(1, folder)) as crew:
-        place = workers._Place()
-        place.job = Job(row.key, None, 1, 2, {})
-        crew._busy[place.line] = place
-        assert crew._give_up(place) == (row.key, row)
-        assert crew.free() == 1
+    store.put(row)
+    job = Job(row.key, plan("alpha=0").points[0].point, 1, 2, {}, timeout=1.0)
+    with closing(workers.LocalPool(1, store)) as pool:
+        (Path(pool._marks.name) / row.key).write_text("Timeout")
+        assert list(pool._died([job])) == [(row.key, row)]
+        assert list(Path(pool._marks.name).iterdir()) == []
+
+
+def say_who(point, finish):
+    """Return the process, and whether it watches its parent and is deaf to Ctrl-C, in place of a host."""
+    import os
+    import signal
+    import threading
+
+    watched = any(thread.name == "parent" for thread in threading.enumerate())
+    deaf = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    return replace(finish(), machine={"host": [os.getpid(), watched, deaf]})
 
 
 @pytest.mark.parametrize("noticed", [False, True])
 def test_a_worker_that_dies_while_it_is_idle_costs_nothing(store, monkeypatch, noticed):
-    replace_point(monkeypatch, lambda point, finish: finish())
-    execute.run(plan("alpha=0"), store, jobs=1)
-    pid = workers._idle[-1].pid
+    replace_point(monkeypatch, say_who)
+    (row,) = execute.run(plan("alpha=0"), store, jobs=1).rows.values()
+    pid = row.provenance["host"][0]
     os.kill(pid, signal.SIGKILL)
     if noticed:
         while _alive(pid):
@@ -369,38 +377,26 @@ def test_a_worker_that_dies_while_it_is_idle_costs_nothing(store, monkeypatch, n
     assert [(row.status, row.attempts) for row in report.rows.values()] == [("done", 1)]
 
 
-def test_a_worker_serves_one_sweep_after_another(store, monkeypatch):
-    """It is not started again, watches its parent and is deaf to Ctrl-C all the time."""
-
-    def instead(point, finish):
-        import signal
-        import threading
-
-        watched = any(thread.name == "parent" for thread in threading.enumerate())
-        deaf = signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
-        return finish() if watched and deaf else finish("failed", f"watched: {watched}, deaf: {deaf}")
-
-    replace_point(monkeypatch, instead)
-    monkeypatch.setattr(workers, "_idle", [])
-    pids = set()
-    for alpha in ("0", "0.5", "1"):
+def test_workers_serve_one_sweep_after_another(store, monkeypatch):
+    """They are not started again, watch their parent and are deaf to Ctrl-C all the time."""
+    replace_point(monkeypatch, say_who)
+    seen = set()
+    for alpha in ("0", "0.25", "0.5", "0.75", "1"):
         report = execute.run(plan(f"alpha={alpha}"), store, jobs=1)
-        assert {(row.error, row.attempts) for row in report.rows.values()} == {(None, 1)}
-        pids |= {place.pid for place in workers._idle}
-    assert len(pids) == 1
-    workers._idle[0].close()
-    assert not any(map(_alive, pids))
+        seen |= {tuple(row.provenance["host"]) for row in report.rows.values()}
+    assert len(seen) <= 2
+    assert {(watched, deaf) for _, watched, deaf in seen} == {(True, True)}
 
 
 # -- what was finished without being stored, and sweeps at once -----------------------------------
 
 
-def test_what_was_finished_but_not_stored_is_taken_not_computed(store, fake_rows):
+def test_rows_that_an_older_version_left_beside_the_store_are_taken_not_computed(store, fake_rows):
     made = plan("alpha=0,1")
     first, second = fake_rows(made).values()
-    folder = spool.folder_of(store.path)
+    folder = execute.claims_folder(store.path)
     folder.mkdir()
-    spool.write(folder, first)
+    (folder / f"{first.key}.json").write_text(first.to_json())
     (folder / f"{second.key}.json").write_text('{"key": ')
     report, todo = execute.missing(made, store)
     assert (list(report.rows), list(todo)) == ([first.key], [second.key])
@@ -410,20 +406,21 @@ def test_what_was_finished_but_not_stored_is_taken_not_computed(store, fake_rows
 
 OTHER_SWEEP = """
 import sys
-from fracbench.harness.run import spool
-with spool.Claims(spool.Path(sys.argv[1])) as claims:
+from pathlib import Path
+from fracbench.harness.run.sweep import Claims
+with Claims(Path(sys.argv[1])) as claims:
     print(claims.take(sys.argv[2]), flush=True)
     sys.stdin.readline()
 """
 
 
-@pytest.mark.skipif(spool.fcntl is None, reason="this system has no such locks")
+@pytest.mark.skipif(execute.fcntl is None, reason="this system has no such locks")
 def test_two_sweeps_share_the_work(store, fake_rows, monkeypatch):
     """A point that another process has claimed is left to it, and its row is taken from the store."""
     replace_point(monkeypatch, lambda point, finish: finish())
     made = plan("alpha=0,1,2")
     theirs, *ours = fake_rows(made).values()
-    folder = spool.folder_of(store.path)
+    folder = execute.claims_folder(store.path)
     folder.mkdir()
     other = subprocess.Popen(
         [sys.executable, "-c", OTHER_SWEEP, str(folder), theirs.key],
@@ -432,7 +429,7 @@ def test_two_sweeps_share_the_work(store, fake_rows, monkeypatch):
         text=True,
     )
     assert other.stdout.readline() == "True\n"
-    with spool.Claims(folder) as claims:
+    with execute.Claims(folder) as claims:
         assert [claims.take(theirs.key), claims.take(ours[0].key)] == [False, True]
         claims.release(ours[0].key)
 
@@ -446,10 +443,10 @@ def test_two_sweeps_share_the_work(store, fake_rows, monkeypatch):
     assert report.rows[theirs.key] == theirs
 
 
-@pytest.mark.skipif(spool.fcntl is None, reason="this system has no such locks")
+@pytest.mark.skipif(execute.fcntl is None, reason="this system has no such locks")
 def test_a_claim_ends_with_its_process(store):
-    folder = spool.folder_of(store.path)
-    with spool.Claims(folder) as claims:
+    folder = execute.claims_folder(store.path)
+    with execute.Claims(folder) as claims:
         other = subprocess.Popen(
             [sys.executable, "-c", OTHER_SWEEP, str(folder), "abc"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
         )
@@ -458,6 +455,23 @@ def test_a_claim_ends_with_its_process(store):
         other.kill()
         other.communicate(timeout=60)
         assert claims.take("abc")
+
+
+def test_a_claim_holds_where_there_are_no_locks(store, monkeypatch):
+    class NoLocks:
+        LOCK_EX = LOCK_NB = LOCK_UN = 0
+
+        @staticmethod
+        def lockf(*_):
+            raise OSError(95, "not supported")
+
+    with execute.Claims(execute.claims_folder(store.path)) as claims:
+        assert claims.take("ab" * 32) and claims.take("ab" * 32)
+        claims.release("ab" * 32)
+        for substitute in (NoLocks, None):
+            monkeypatch.setattr(execute, "fcntl", substitute)
+            assert claims.take("cd" * 32)
+            claims.release("cd" * 32)
 
 
 def test_the_largest_points_go_first(store, monkeypatch):
@@ -497,7 +511,7 @@ from fracbench.harness.run.plan import make_plan
 from fracbench.harness.run.store import Store
 
 def run(path):
-    def compute(job, folder, parent):
+    def compute(job, store, marks, parent):
         import os, time
         os.write(1, f"{os.getpid()}\\n".encode())
         time.sleep(600)
@@ -537,24 +551,39 @@ def test_workers_leave_ctrl_c_to_their_parent(store, monkeypatch):
     assert [row.status for row in report.rows.values()] == ["done", "done"]
 
 
-def test_a_spool_that_cannot_be_written_is_one_clear_error(store, monkeypatch):
+def test_a_store_that_a_worker_cannot_write_is_one_clear_error(store, monkeypatch):
     replace_point(monkeypatch, lambda point, finish: finish())
-
-    def full(folder, row):
-        raise OSError(28, "No space left on device")
-
     real = workers._compute
 
-    def compute(job, folder, parent):
+    def compute(job, store, marks, parent):
         from fracbench.harness.run import pool as workers
+        from fracbench.harness.run.store import Store
 
-        workers.spool.write = full
-        real(job, folder, parent)
+        class Full(Store):
+            def __init__(self, path):
+                super().__init__(path)
+                self._db.execute("PRAGMA max_page_count = 1")
+
+        before, workers.Store = workers.Store, Full
+        try:
+            return real(job, store, marks, parent)
+        finally:
+            workers.Store = before
 
     monkeypatch.setattr(workers, "_compute", compute)
-    with pytest.raises(FracbenchError, match="No space left on device; free some space") as caught:
-        execute.run(plan("alpha=0,1"), store, jobs=1)
-    assert str(spool.folder_of(store.path)) in str(caught.value)
+    with pytest.raises(FracbenchError, match="the disk is full; free some space") as caught:
+        execute.run(plan(*("alpha=0:2:0.01",), "lambda=0.1,0.2"), store, jobs=1)
+    assert str(store.path) in str(caught.value)
+
+
+def test_marks_that_cannot_be_written_are_one_clear_error(store, monkeypatch):
+    replace_point(monkeypatch, lambda point, finish: finish())
+    with closing(workers.LocalPool(1, store)) as pool:
+        pool.close()
+        monkeypatch.setattr(execute, "_pool", lambda plan, jobs, store: pool)
+        with pytest.raises(FracbenchError, match="No such file or directory; free some space") as caught:
+            execute.run(plan("alpha=0,1"), store, jobs=1)
+    assert pool._marks.name in str(caught.value)
     assert store.rows() == []
 
 
@@ -576,13 +605,12 @@ def test_one_job_means_one_point_at_a_time(store, monkeypatch, tmp_path):
 
 
 def test_workers_that_die_before_they_begin_end_the_sweep(store, monkeypatch):
-    def serve(line, parent):
+    def compute(job, store, marks, parent):
         import os
 
         os._exit(9)
 
-    monkeypatch.setattr(workers, "_serve", serve)
-    monkeypatch.setattr(workers, "_idle", [])
+    monkeypatch.setattr(workers, "_compute", compute)
     with pytest.raises(FracbenchError, match="die before they begin"):
         execute.run(plan("alpha=0,1"), store, jobs=2)
     assert store.rows() == []
@@ -592,5 +620,5 @@ def test_no_points_need_no_workers(store, fake_rows, monkeypatch):
     made = plan("alpha=0")
     for row in fake_rows(made).values():
         store.put(row)
-    monkeypatch.delattr(execute, "_crew")
+    monkeypatch.delattr(execute, "_pool")
     assert execute.run(made, store, jobs=2).reused == 1
