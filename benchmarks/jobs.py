@@ -14,7 +14,7 @@ from typing import Any
 import common
 
 from fracbench.commands import console
-from fracbench.harness.run import sweep as execute
+from fracbench.harness.run import sweep
 from fracbench.harness.run.plan import make_plan
 from fracbench.harness.run.store import Store
 
@@ -50,7 +50,7 @@ def by_jobs(
         for number, times in took.items():
             with tempfile.TemporaryDirectory() as folder, Store(Path(folder) / "store.sqlite") as store:
                 started = time.perf_counter()
-                report = execute.run(plan, store, jobs=number)
+                report = sweep.run(plan, store, jobs=number)
                 seconds = time.perf_counter() - started
             if round_number == 0:
                 continue

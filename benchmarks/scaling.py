@@ -18,8 +18,7 @@ import common
 
 from fracbench.commands import console
 from fracbench.commands.parser import Parser
-from fracbench.harness.run import provenance
-from fracbench.harness.run import sweep as execute
+from fracbench.harness.run import provenance, sweep
 from fracbench.harness.run.message import Job
 from fracbench.harness.run.plan import Plan, make_plan
 from fracbench.harness.run.store import Row, Store
@@ -52,7 +51,7 @@ def run(plan: Plan, jobs: int) -> Lap:
     """Compute a plan in a store of its own and time it."""
     with tempfile.TemporaryDirectory(prefix="fracbench-") as folder, Store(Path(folder) / "store.sqlite") as store:
         wall, parent = time.perf_counter(), time.process_time()
-        rows = list(execute.run(plan, store, jobs=jobs).rows.values())
+        rows = list(sweep.run(plan, store, jobs=jobs).rows.values())
         wall, parent = time.perf_counter() - wall, time.process_time() - parent
     return Lap(wall, parent / len(rows), mean(row.seconds or 0.0 for row in rows), rows)
 

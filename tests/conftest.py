@@ -13,8 +13,7 @@ from fracbench.data.datasets import middlebury as middlebury_data
 from fracbench.data.datasets.synthetic.scenes import scene
 from fracbench.data.files import write_flo, write_image
 from fracbench.errors import DataError
-from fracbench.figures import cache as drawing
-from fracbench.figures import style
+from fracbench.figures import cache, style
 from fracbench.harness.check import regression, tolerances
 from fracbench.harness.run.store import Row
 from fracbench.model import SOLVER_VERSION
@@ -139,7 +138,7 @@ def unwritten(monkeypatch) -> None:
         make(*shown, **looks)
         return style.figure_files(stem)
 
-    monkeypatch.setattr(drawing, "draw", draw)
+    monkeypatch.setattr(cache, "draw", draw)
 
 
 @pytest.fixture

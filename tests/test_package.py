@@ -174,12 +174,12 @@ def test_the_versions_of_python_are_said_once(project, wheel):
 
 def test_hydra_is_used_without_a_word_of_warning(monkeypatch):
     """What Hydra 1.3 warns of, 1.4 may refuse; warnings are errors here, and none is silenced."""
-    from fracbench.harness.config import compose as config
+    from fracbench.harness.config import compose
 
-    config._compose.cache_clear()
-    for group in config.GROUPS:
-        config.load_config({group: config.group_options(group)[0]})
-    source = Path(config.__file__).read_text(encoding="utf-8")
+    compose._compose.cache_clear()
+    for group in compose.GROUPS:
+        compose.load_config({group: compose.group_options(group)[0]})
+    source = Path(compose.__file__).read_text(encoding="utf-8")
     assert "simplefilter" not in source and 'version_base="1.3"' in source
 
 

@@ -65,22 +65,21 @@ def race(tokens: Sequence[str], *, repeats: int, threads: int, only: Sequence[st
     import pandas as pd
 
     from fracbench.figures.style import save_figure
-    from fracbench.studies.race import figures as benchmark
-    from fracbench.studies.race import measure as racing
+    from fracbench.studies.race import figures, measure
 
-    racers = racing.contenders(only)
+    racers = measure.contenders(only)
     some = "_some" if only else ""  # not in place of the race of all
     plan, stem = make_plan(tokens), results_stem(tokens, f"bench_{threads}_threads{some}")
     with console.progress(len(plan.points) * len(racers) * repeats, "bench") as advance:
-        records = racing.run(racers, tokens, repeats=repeats, threads=threads, on_lap=advance)
-    summary = benchmark.summarise(records, racing.YARDSTICK)
+        records = measure.run(racers, tokens, repeats=repeats, threads=threads, on_lap=advance)
+    summary = figures.summarise(records, measure.YARDSTICK)
     title = f"mean over {len(plan.points)} sequences, {threads} thread(s), {plan.dataset}"
-    note = f"seconds: median of {repeats} rounds; ratio: to {racing.YARDSTICK}"
+    note = f"seconds: median of {repeats} rounds; ratio: to {measure.YARDSTICK}"
     shown = summary.dropna(axis="columns", how="all")  # without the yardstick there is no ratio
     if "ratio" not in shown:
         note = note.partition(";")[0]
     write_results(pd.DataFrame(records), stem, title, note, shown=shown)
-    figure = benchmark.error_against_time(summary, f"Error against time, {threads} thread(s)")
+    figure = figures.error_against_time(summary, f"Error against time, {threads} thread(s)")
     for path in save_figure(figure, stem):
         console.say(f"wrote {path}")
 

@@ -244,10 +244,10 @@ def _settings(name: str, overrides: Sequence[str]) -> Sequence[str]:
 
 
 def _report(arguments: argparse.Namespace) -> int:
-    from fracbench.commands import paper as reproduce
+    from fracbench.commands import paper
 
     settings = [*_settings("report", arguments.overrides), *_limit(arguments)]
-    failed = reproduce.report(
+    failed = paper.report(
         settings,
         jobs=arguments.jobs,
         small=arguments.small,
@@ -258,10 +258,10 @@ def _report(arguments: argparse.Namespace) -> int:
 
 
 def _claims(arguments: argparse.Namespace) -> int:
-    from fracbench.commands import paper as reproduce
+    from fracbench.commands import paper
 
     settings = _settings("claims", arguments.overrides)
-    for line in reproduce.judge(settings, small=arguments.small, readme=arguments.readme):
+    for line in paper.judge(settings, small=arguments.small, readme=arguments.readme):
         console.say(line)
     return EXIT_DONE
 
@@ -309,28 +309,28 @@ def _estimate(arguments: argparse.Namespace) -> int:
 
 
 def _check(arguments: argparse.Namespace) -> int:
-    from fracbench.commands import maintain as upkeep
+    from fracbench.commands import maintain
 
     if arguments.spread:
         raise InputError("check: --spread has moved: python tools/spread.py [NAME...] [--update], in a checkout")
     if arguments.update:
-        upkeep.update_references(arguments.names, arguments.reason, jobs=arguments.jobs)
+        maintain.update_references(arguments.names, arguments.reason, jobs=arguments.jobs)
         return EXIT_DONE
-    return EXIT_DONE if upkeep.check_references(arguments.names, jobs=arguments.jobs) else EXIT_CHECK
+    return EXIT_DONE if maintain.check_references(arguments.names, jobs=arguments.jobs) else EXIT_CHECK
 
 
 def _status(arguments: argparse.Namespace) -> int:
-    from fracbench.commands import maintain as upkeep
+    from fracbench.commands import maintain
 
     _settings("status", [word for word in arguments.words if "=" in word])
-    upkeep.show_status(arguments.words, as_json=arguments.json)
+    maintain.show_status(arguments.words, as_json=arguments.json)
     return EXIT_DONE
 
 
 def _compare(arguments: argparse.Namespace) -> int:
-    from fracbench.commands import maintain as upkeep
+    from fracbench.commands import maintain
 
-    return EXIT_DONE if upkeep.compare_runs(arguments.first, arguments.second) else EXIT_CHECK
+    return EXIT_DONE if maintain.compare_runs(arguments.first, arguments.second) else EXIT_CHECK
 
 
 def _bench(arguments: argparse.Namespace) -> int:

@@ -11,7 +11,7 @@ from fracbench.commands import console
 from fracbench.errors import InputError
 from fracbench.harness.config.experiment import Experiment
 from fracbench.harness.config.grid import parse_overrides
-from fracbench.harness.run import sweep as execute
+from fracbench.harness.run import sweep
 from fracbench.harness.run.plan import Plan, make_plan, plan_experiment
 from fracbench.harness.run.store import RUNS, STORE, Store
 
@@ -81,7 +81,7 @@ def run_experiment(
     return len(report.failed)
 
 
-def run_plan(plan: Plan, name: str, jobs: int, *, rerun_failed: bool = False) -> execute.Report:
+def run_plan(plan: Plan, name: str, jobs: int, *, rerun_failed: bool = False) -> sweep.Report:
     """Compute the missing points of a plan, under a progress bar of that name.
 
     Parameters
@@ -111,9 +111,9 @@ def run_plan(plan: Plan, name: str, jobs: int, *, rerun_failed: bool = False) ->
     results = plan.config.results
     ensure_folder(results / STORE.parent)
     with Store(results / STORE) as store:
-        _, todo = execute.missing(plan, store, rerun_failed=rerun_failed)
+        _, todo = sweep.missing(plan, store, rerun_failed=rerun_failed)
         with console.progress(len(todo), name) as advance:
-            return execute.run(plan, store, jobs=jobs, rerun_failed=rerun_failed, on_row=advance)
+            return sweep.run(plan, store, jobs=jobs, rerun_failed=rerun_failed, on_row=advance)
 
 
 def require_workers(jobs: int) -> None:
@@ -127,7 +127,7 @@ def say_cost(plan: Plan, jobs: int, *, rerun_failed: bool = False) -> None:
     from fracbench.harness.run.cost import expected_seconds
 
     with Store(plan.config.results / STORE, readonly=True) as store:
-        report, todo = execute.missing(plan, store, rerun_failed=rerun_failed)
+        report, todo = sweep.missing(plan, store, rerun_failed=rerun_failed)
         seconds, measured = expected_seconds(todo.values(), store.rows("done"), jobs)
     basis = "from stored points of the same methods" if measured else "rough: nothing like it is stored yet"
     console.say(
@@ -137,7 +137,7 @@ def say_cost(plan: Plan, jobs: int, *, rerun_failed: bool = False) -> None:
     _say_settings(plan)
 
 
-def _say_computed(report: execute.Report) -> None:
+def _say_computed(report: sweep.Report) -> None:
     if report.computed:
         why = ", ".join(f"{count} {reason}" for reason, count in sorted(report.reasons.items()))
         console.note(f"{report.computed} points computed ({why}), {report.reused} taken from the store")
@@ -161,7 +161,7 @@ def _say_settings(plan: Plan) -> None:
     console.say(f"settings: {'; '.join(settings)}")
 
 
-def say_failures(report: execute.Report) -> None:
+def say_failures(report: sweep.Report) -> None:
     """Say how many points are not done, if any, and how to try them again."""
     if report.failed:
         console.complain(

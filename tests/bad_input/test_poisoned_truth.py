@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 from fracbench.data.datasets.registry import load_sequence
-from fracbench.harness.run import compute_point as task
+from fracbench.harness.run import compute_point
 from fracbench.harness.run.compute_point import hold, run_point
 from fracbench.harness.run.plan import make_plan
-from fracbench.methods import alpha_map as adaptive
-from fracbench.methods import paper as variational
+from fracbench.methods import alpha_map, paper
 
 QUICK = ["sequence=synthetic_parallax", "n_scales=2", "n_warps=1", "max_iter=3"]
-HOMES = {"tvl1_sb_alpha_map": adaptive, "tvl1_sb_alpha": variational}
+HOMES = {"tvl1_sb_alpha_map": alpha_map, "tvl1_sb_alpha": paper}
 
 
 @pytest.fixture
@@ -31,7 +30,7 @@ def flows(monkeypatch):
             return result
 
         monkeypatch.setattr(home, name, recording)
-    monkeypatch.setattr(task, "_held", {})
+    monkeypatch.setattr(compute_point, "_held", {})
     return found
 
 

@@ -14,15 +14,14 @@ from fracbench.errors import InputError
 from fracbench.harness.config.paths import checkout
 from fracbench.harness.run.plan import make_plan
 from fracbench.harness.run.point import canonical_value
-from fracbench.studies.race import figures as benchmark
-from fracbench.studies.race import measure as bench
+from fracbench.studies.race import figures, measure
 
 SCENE = "sequence=synthetic_corner"
 
 
 def test_all_that_is_installed_runs_by_default(monkeypatch):
-    monkeypatch.setattr(bench, "_installed", lambda method: not method.startswith("skimage"))
-    names = [contender.name for contender in bench.contenders()]
+    monkeypatch.setattr(measure, "_installed", lambda method: not method.startswith("skimage"))
+    names = [contender.name for contender in measure.contenders()]
     assert names[:2] == ["tvl1", "tvl1_sb"] and "opencv_tvl1" in names and "skimage_tvl1" not in names
     for boundary in ("reflect", "zero"):
         for alpha in ("1", "1.2", "1.7"):
@@ -38,23 +37,23 @@ def test_a_contender_may_bring_a_protocol(monkeypatch):
         seen.append({name: canonical_value(value) for name, value in params.as_dict().items() if name in preset})
         return SimpleNamespace(flow=np.zeros((2, *frame0.shape)))
 
-    monkeypatch.setattr(bench, "get_method", lambda name: SimpleNamespace(estimate=estimate))
-    bench.run([bench.Contender("a", "any", protocol="accurate")], [SCENE], repeats=1, threads=1)
+    monkeypatch.setattr(measure, "get_method", lambda name: SimpleNamespace(estimate=estimate))
+    measure.run([measure.Contender("a", "any", protocol="accurate")], [SCENE], repeats=1, threads=1)
     assert seen == [preset, preset]
 
 
 def test_contenders_by_beginning_of_name():
-    names = [contender.name for contender in bench.contenders(["tvl1_sb_alpha zero"])]
+    names = [contender.name for contender in measure.contenders(["tvl1_sb_alpha zero"])]
     assert names == [f"tvl1_sb_alpha zero alpha {alpha}" for alpha in ("1", "1.2", "1.7")]
     with pytest.raises(InputError, match=r"contender.*'tvl2'.*did you mean 'tvl1'"):
-        bench.contenders(["tvl2"])
+        measure.contenders(["tvl2"])
 
 
 def test_a_race_gives_a_record_for_each_contender_and_sequence():
     laps = []
-    racers = bench.contenders(["tvl1_sb_alpha reflect alpha 1.2", "tvl1_sb_alpha reflect alpha 1.7"])
+    racers = measure.contenders(["tvl1_sb_alpha reflect alpha 1.2", "tvl1_sb_alpha reflect alpha 1.7"])
     tokens = ["sequence=synthetic_corner,synthetic_rotation"]
-    records = bench.run(racers, tokens, repeats=2, threads=1, on_lap=lambda: laps.append(1))
+    records = measure.run(racers, tokens, repeats=2, threads=1, on_lap=lambda: laps.append(1))
     assert len(records) == 4 and len(laps) == 8
     assert all(record["seconds"] > 0 and 0 < record["aepe"] < 1 for record in records)
     assert all(20_000 < record["n_pixels"] <= 128 * 160 for record in records)  # known truth and unknown
@@ -70,16 +69,16 @@ def test_the_summary_is_relative_to_the_yardstick():
             ("y", 2, 4.0, 1, 1),
         ]
     ]
-    table = benchmark.summarise(records, "y").set_index("contender")
+    table = figures.summarise(records, "y").set_index("contender")
     assert table.loc["a", ["seconds", "ratio", "aepe", "peak_mib"]].tolist() == [3.0, 0.5, 0.4, 9]
     assert list(table.index) == ["a", "y"] and table.loc["y", "ratio"] == 1.0
-    assert np.isnan(benchmark.summarise(records, "absent")["ratio"]).all()
+    assert np.isnan(figures.summarise(records, "absent")["ratio"]).all()
 
 
 def test_the_picture_names_every_contender_once_and_tells_ours_from_peers():
     names = ["opencv_dis", "tvl1_sb_alpha zero alpha 1.2", "accurate", "tvl1_sb_alpha zero alpha 1"]
     summary = pd.DataFrame({"contender": names, "seconds": [0.1, 0.2, 0.3, 0.4], "aepe": [1.0, 0.9, 0.8, 0.7]})
-    (axes,) = benchmark.error_against_time(summary, "").axes
+    (axes,) = figures.error_against_time(summary, "").axes
     drawn = {line.get_label(): (line.get_marker(), list(line.get_xdata())) for line in axes.lines}
     assert drawn == {
         "opencv_dis": ("s", [0.1]),

@@ -23,7 +23,7 @@ from fracbench.data.files import read_flow, read_image
 from fracbench.evaluation.metrics import flow_errors
 from fracbench.harness.check.tolerances import MEASURED
 from fracbench.harness.config.paths import asset
-from fracbench.harness.run import sweep as execute
+from fracbench.harness.run import sweep
 from fracbench.harness.run.pool import LocalPool
 from fracbench.harness.run.store import STORE, Store
 from fracbench.methods.registry import METHODS
@@ -208,13 +208,13 @@ def test_overrides_may_follow_options_and_jobs_has_two_spellings(cli, work, tiny
 
 def test_jobs_reach_the_execution(cli, work, tiny, monkeypatch):
     seen = []
-    real = execute._pool
+    real = sweep._pool
 
     def pool(plan, jobs, store):
         seen.append(jobs)
         return real(plan, jobs, store)
 
-    monkeypatch.setattr(execute, "_pool", pool)
+    monkeypatch.setattr(sweep, "_pool", pool)
     assert cli("sweep", "theta=0.1", *tiny, "--jobs", "1").code == EXIT_DONE
     assert cli("sweep", "theta=0.1", *tiny, "max_inner=3").code == EXIT_DONE
     assert seen == [1, 2]
@@ -238,7 +238,7 @@ def test_a_point_that_fails_gives_exit_code_3_and_a_hint(cli, work, tiny, monkey
                 yield key, row
 
     with monkeypatch.context() as patched:
-        patched.setattr(execute, "_pool", lambda plan, jobs, store: Unlucky(jobs, store))
+        patched.setattr(sweep, "_pool", lambda plan, jobs, store: Unlucky(jobs, store))
         done = cli("sweep", NAMES_ONLY, *tiny)
     hint = (
         "1 of 2 points are not done (first: made to fail); the same command with --rerun failed tries them again"
@@ -269,7 +269,7 @@ def test_ctrl_c_is_one_line_and_keeps_what_was_finished(cli, work, tiny, monkeyp
                 yield next(ended)
                 raise KeyboardInterrupt
 
-    monkeypatch.setattr(execute, "_pool", lambda plan, jobs, store: Interrupted(1, store))
+    monkeypatch.setattr(sweep, "_pool", lambda plan, jobs, store: Interrupted(1, store))
     done = cli("sweep", NAMES_ONLY, *tiny)
     assert done.code == 130
     assert done.err.splitlines()[-1] == (

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from fracbench.commands import paper as reproduce
-from fracbench.harness.run import sweep as execute
+from fracbench.harness.run import sweep
 from fracbench.harness.run.message import Outcome
 from fracbench.report.page import beyond, html
 
@@ -71,7 +71,7 @@ def test_points_that_fail_are_told_and_the_rest_goes_on(paper, cli, monkeypatch)
         def close(self):
             pass
 
-    monkeypatch.setattr(execute, "_crew", lambda *_: Failing())
+    monkeypatch.setattr(sweep, "_crew", lambda *_: Failing())
     done = cli("report", "dataset=synthetic")
     assert done.code == 3
     assert "two: 3 points, wrote" in done.out and "wrote results/page.html" in done.out

@@ -6,8 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from fracbench.figures import cache as drawing
-from fracbench.figures import style
+from fracbench.figures import cache, style
 from fracbench.figures.cache import draw, keep
 
 
@@ -73,7 +72,7 @@ def test_a_file_that_was_changed_or_removed_is_made_again(tmp_path, calls, suffi
 
 def test_new_code_draws_anew(tmp_path, calls, monkeypatch):
     draw(tmp_path / "a", picture, TABLE)
-    monkeypatch.setattr(drawing, "_code", lambda: "other sources")
+    monkeypatch.setattr(cache, "_code", lambda: "other sources")
     draw(tmp_path / "a", picture, TABLE)
     assert len(calls) == 2
 
@@ -90,13 +89,13 @@ def test_what_cannot_be_made_is_tried_again(tmp_path):
 
 
 def test_a_change_in_any_folder_of_a_room_that_draws_counts(tmp_path, monkeypatch):
-    file = tmp_path / drawing._ROOMS[0] / "deeper" / "lines.py"
+    file = tmp_path / cache._ROOMS[0] / "deeper" / "lines.py"
     file.parent.mkdir(parents=True)
-    monkeypatch.setattr(drawing, "_PACKAGE", tmp_path)
+    monkeypatch.setattr(cache, "_PACKAGE", tmp_path)
     states = set()
     for text in ("thin", "thick"):
         file.write_text(text)
-        drawing._code.cache_clear()
-        states.add(drawing._code())
-    drawing._code.cache_clear()
+        cache._code.cache_clear()
+        states.add(cache._code())
+    cache._code.cache_clear()
     assert len(states) == 2

@@ -12,11 +12,11 @@ import sys
 from pathlib import Path
 
 from fracbench.commands.cli import main
-from fracbench.harness.run import pool as workers
+from fracbench.harness.run import pool
 
 
 def install(log: Path, seconds: float) -> None:
-    real = workers._compute
+    real = pool._compute
 
     def compute(job, store, marks, parent):  # reaches the workers by value
         import os
@@ -51,7 +51,7 @@ def install(log: Path, seconds: float) -> None:
         say("end")
         return row
 
-    workers._compute = compute
+    pool._compute = compute
 
 
 if __name__ == "__main__":

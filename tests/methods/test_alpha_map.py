@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from fracbench.methods import alpha_map as adaptive
+from fracbench.methods import alpha_map
 from fracbench.methods.alpha_map import flow_with_orders, tvl1_sb_alpha_map
 from fracbench.methods.paper import tvl1_sb_alpha
 from fracbench.model.operators.alpha_map import MappedGradient
@@ -80,7 +80,7 @@ def test_a_given_map_follows_the_pyramid(frames, monkeypatch):
         seen[weights.shape[1:]] = weights
         return MappedGradient(alphas, weights, dtype)
 
-    monkeypatch.setattr(adaptive, "MappedGradient", recording)
+    monkeypatch.setattr(alpha_map, "MappedGradient", recording)
     half = np.zeros((2, *frames[0].shape))
     half[0, :, :28] = half[1, :, 28:] = 1.0
     flow_with_orders(*frames, FlowParams().replace(SETTINGS), (0.6, 1.6), half)

@@ -12,7 +12,7 @@ import pytest
 from fracbench.errors import InputError
 from fracbench.harness.config.experiment import load_experiment
 from fracbench.harness.run.plan import plan_experiment
-from fracbench.studies import registry as artefacts
+from fracbench.studies import registry
 from fracbench.studies.accurate import (
     ablation_sentences,
     ablation_table,
@@ -173,7 +173,7 @@ def test_the_study_leaves_its_files(study, tmp_path, fake_rows):
     assert "seconds" not in pd.read_csv(drawn.files[0]).columns
     text = drawn.files[-1].read_text(encoding="utf-8")
     assert "Chosen on the other sequences: AEPE 0.2150 px" in text and experiment.title in text
-    assert artefacts.require_renderer(experiment) is accurate_study
+    assert registry.require_renderer(experiment) is accurate_study
 
 
 def test_a_study_without_its_parts_is_refused(study, tmp_path):

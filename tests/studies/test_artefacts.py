@@ -9,8 +9,7 @@ import pandas as pd
 import pytest
 
 from fracbench.errors import InputError
-from fracbench.figures import curves as figures
-from fracbench.figures import style
+from fracbench.figures import curves, style
 from fracbench.harness.config.experiment import Experiment, load_experiment
 from fracbench.harness.run.plan import make_plan, plan_experiment
 from fracbench.harness.run.tidy import tidy
@@ -54,7 +53,7 @@ def drawn(monkeypatch):
         return draw
 
     for name in ("alpha_curves", "heat_map"):
-        monkeypatch.setattr(figures, name, pretend(name))
+        monkeypatch.setattr(curves, name, pretend(name))
     monkeypatch.setattr(style, "save_figure", lambda figure, stem: [stem.with_name(f"{stem.name}.png")])
     return calls
 
@@ -321,7 +320,7 @@ def fails(*_, **__):
 def test_a_sweep_that_cannot_be_drawn_leaves_no_file(tmp_path, fake_rows, monkeypatch, where):
     module, name = where.split(".")
     made = plan("alpha=0,1", FLAT)
-    monkeypatch.setattr({"figures": figures, "style": style, "tables": tables}[module], name, fails)
+    monkeypatch.setattr({"figures": curves, "style": style, "tables": tables}[module], name, fails)
     if module == "tables":
         monkeypatch.setattr(style, "save_figure", lambda figure, stem: [])
     with pytest.raises(RuntimeError, match="no ink"):

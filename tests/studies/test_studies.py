@@ -14,7 +14,7 @@ from fracbench.errors import InputError
 from fracbench.harness.config.experiment import load_experiment
 from fracbench.harness.config.paths import asset
 from fracbench.harness.run.plan import plan_experiment
-from fracbench.studies import registry as artefacts
+from fracbench.studies import registry
 from fracbench.studies.protocols import protocol_study, switch_dots, switch_sentences, switch_table
 from fracbench.studies.solvers.solver_study import (
     printed_alphas,
@@ -292,5 +292,5 @@ def test_the_solver_study_leaves_its_files(tmp_path, fake_rows, unwritten):
 
 
 def test_both_are_registered():
-    assert artefacts.RENDERERS["protocol_study"] is protocol_study
-    assert artefacts.RENDERERS["solver_study"] is solver_study
+    assert registry.RENDERERS["protocol_study"] is protocol_study
+    assert registry.RENDERERS["solver_study"] is solver_study

@@ -15,8 +15,7 @@ from fracbench.errors import InputError, unknown_name
 from fracbench.harness.check.tolerances import MEASURED, Tolerance, Tolerances, load_tolerances
 from fracbench.harness.config.experiment import Experiment, load_experiment
 from fracbench.harness.config.paths import asset, checkout
-from fracbench.harness.run import provenance
-from fracbench.harness.run import sweep as execute
+from fracbench.harness.run import provenance, sweep
 from fracbench.harness.run.plan import Plan, plan_experiment
 from fracbench.harness.run.store import Row, Store
 from fracbench.harness.run.tidy import tidy
@@ -149,7 +148,7 @@ def recompute(plan: Plan, jobs: int, on_row: Callable[[Row], None] | None = None
         tempfile.TemporaryDirectory(prefix="fracbench-check-") as folder,
         Store(Path(folder) / "store.sqlite") as store,
     ):
-        return execute.run(plan, store, jobs=jobs, on_row=on_row).rows
+        return sweep.run(plan, store, jobs=jobs, on_row=on_row).rows
 
 
 def reference_table(plan: Plan, rows: Mapping[str, Row]) -> pd.DataFrame:

@@ -207,7 +207,7 @@ def _files(job: Job) -> Mapping[str, bytes]:
 
 def _compute(job: Job, files: Mapping[str, bytes], topic: str) -> bool:
     """In a worker: compute a job and send its row; False if the data are wanted first."""
-    from fracbench.harness.run import compute_point as task
+    from fracbench.harness.run import compute_point
 
     if job.solver_version != SOLVER_VERSION:
         raise InputError(
@@ -215,7 +215,7 @@ def _compute(job: Job, files: Mapping[str, bytes], topic: str) -> bool:
         )
     if files:
         _unpack(job, files)
-    elif get_dataset(job.point.dataset).contents and not task.holds(job.point.data_digest):
+    elif get_dataset(job.point.dataset).contents and not compute_point.holds(job.point.data_digest):
         return False
     with _wanted():
         _work(job, topic)
@@ -246,7 +246,7 @@ def _work(job: Job, topic: str) -> None:
     """Compute a job and send its row; when its time is over, send the row that says so and end the process."""
     from distributed import get_worker
 
-    from fracbench.harness.run import compute_point as task
+    from fracbench.harness.run import compute_point
 
     worker = get_worker()
     settled = threading.Lock()  # taken by whoever is first, the result or the clock
@@ -257,7 +257,7 @@ def _work(job: Job, topic: str) -> None:
             time.sleep(_FLUSH_SECONDS)  # it is on its way
             os._exit(1)
 
-    row = job.row(task.run_point(job.point, job.folder, lambda: _alarm(job.timeout, expire)))
+    row = job.row(compute_point.run_point(job.point, job.folder, lambda: _alarm(job.timeout, expire)))
     if not settled.acquire(blocking=False):
         threading.Event().wait()  # the process is about to end
     worker.log_event(topic, row.to_json())
@@ -279,7 +279,7 @@ def _alarm(seconds: float | None, ring: Callable[[], None]) -> Iterator[None]:
 
 def _unpack(job: Job, files: Mapping[str, bytes]) -> None:
     """Load the pair from the files that were sent."""
-    from fracbench.harness.run import compute_point as task
+    from fracbench.harness.run import compute_point
 
     with tempfile.TemporaryDirectory(prefix="fracbench-") as name:
         folder = Path(name) / job.point.sequence
@@ -288,4 +288,4 @@ def _unpack(job: Job, files: Mapping[str, bytes]) -> None:
             (folder / file).write_bytes(content)
         point = job.point
         load = get_dataset(point.dataset).load
-        task.hold(load(point.sequence, Path(name), noise=point.noise, seed=point.seed))
+        compute_point.hold(load(point.sequence, Path(name), noise=point.noise, seed=point.seed))

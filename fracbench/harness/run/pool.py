@@ -209,13 +209,13 @@ def _ctrl_c_ignored() -> Iterator[None]:
 
 def _compute(job: Job, store: Path, marks: str, parent: int) -> Row:
     """Compute a job, store its row and return it."""
-    from fracbench.harness.run import compute_point as task
+    from fracbench.harness.run import compute_point
 
     mark = Path(marks) / job.key
     try:
         with mark.open("w") as file:
             try:
-                row = job.row(task.run_point(job.point, job.folder, lambda: _timed(job.timeout, file)))
+                row = job.row(compute_point.run_point(job.point, job.folder, lambda: _timed(job.timeout, file)))
             except _OverTime:
                 row = job.expired(provenance.machine())
         if os.getppid() != parent:

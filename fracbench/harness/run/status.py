@@ -9,7 +9,7 @@ from typing import Any
 
 from fracbench.errors import InputError
 from fracbench.harness.config.experiment import load_experiment
-from fracbench.harness.run import sweep as execute
+from fracbench.harness.run import sweep
 from fracbench.harness.run.plan import plan_experiment
 from fracbench.harness.run.store import Store
 
@@ -79,7 +79,7 @@ def standing(name: str, settings: Sequence[str], store: Store) -> Standing:
         plan = plan_experiment(load_experiment(name).grids, settings, allow_download=False)
     except InputError as exc:
         return Standing(name, error=str(exc))
-    report, todo = execute.missing(plan, store)
+    report, todo = sweep.missing(plan, store)
     missing = report.reasons["new"]
     failed = len(report.failed)
     return Standing(

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 from fracbench.data.files import write_text
 from fracbench.errors import InputError, unknown_name
 from fracbench.harness.config.paths import asset
-from fracbench.report.claims import region_rules
-from fracbench.report.claims import table_rules as claim_rules
+from fracbench.report.claims import region_rules, table_rules
 from fracbench.report.claims.judging import RULES, UNKNOWN, VERDICTS, Tables, UnjudgeableError
 
 if TYPE_CHECKING:
@@ -22,7 +21,7 @@ __all__ = ["EXPERIMENTS", "VERDICTS", "Claim", "Judged", "Verdict", "evaluate", 
 
 #: The experiments that the rules read.
 EXPERIMENTS = ("table2", "fig2", "fig3", "fig4", "fig6", "fig7", "regions_lambda_sb")
-_MODULES = (claim_rules, region_rules)  # imported for the rules they register
+_MODULES = (table_rules, region_rules)  # imported for the rules they register
 _KEYS = {"id", "quote", "place", "test", "rule", "args"}
 _INTRODUCTION = (
     "Each sentence of the paper that a computation can judge, with its verdicts. Verdicts are computed by "

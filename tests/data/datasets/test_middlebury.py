@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from fracbench.data import download as remote
+from fracbench.data import download
 from fracbench.data.datasets import middlebury as mb
 from fracbench.data.datasets.registry import list_sequences, load_sequence
 from fracbench.errors import DataError, InputError
@@ -205,7 +205,7 @@ class TestResolve:
         def fail(url, members, timeout):
             raise DataError(f"{url} cannot be reached")
 
-        monkeypatch.setattr(remote, "fetch_members", fail)
+        monkeypatch.setattr(download, "fetch_members", fail)
         resolved = mb.resolve("auto", allow_download=allowed)
         assert (resolved.dataset, resolved.folder) == ("synthetic", None)
         assert "synthetic scenes in place of Middlebury" in resolved.notice

@@ -19,12 +19,12 @@ from fracbench.errors import DataError
 from fracbench.evaluation import metrics
 from fracbench.harness.check import regression
 from fracbench.harness.check.regression import Verdict, check
-from fracbench.harness.run import compute_point as task
+from fracbench.harness.run import compute_point
 from fracbench.harness.run.plan import Plan, PlannedPoint
 from fracbench.harness.run.point import Point
 from fracbench.harness.run.store import Row
 from fracbench.model import SOLVER_VERSION
-from fracbench.model.operators import zero as fractional
+from fracbench.model.operators import zero
 
 Part = tuple[str, dict[str, set[str]]]  # a stored table, and which of its rows
 
@@ -37,7 +37,7 @@ UNKNOWN: Part = ("regions", {"region": {"hydrangea_A"}, "alpha": {"1.2"}})  # an
 def forget() -> None:
     """Empty every cache in which something computed before a change could live on."""
     for name, module in list(sys.modules.items()):
-        if name.startswith("fracbench.model") or module is task:
+        if name.startswith("fracbench.model") or module is compute_point:
             for thing in vars(module).values():
                 getattr(thing, "cache_clear", lambda: None)()
 
@@ -74,7 +74,7 @@ def checked(monkeypatch) -> Callable[..., Verdict]:
 
         def recompute(plan: Plan, jobs: int, on_row=None) -> dict[str, Row]:
             points = plan.unique().items()
-            return {key: row(point, task.run_point(change(point), plan.folder)) for key, point in points}
+            return {key: row(point, compute_point.run_point(change(point), plan.folder)) for key, point in points}
 
         monkeypatch.setattr(regression, "plan_of", plan)
         monkeypatch.setattr(regression, "read_table", stored)
@@ -84,7 +84,7 @@ def checked(monkeypatch) -> Callable[..., Verdict]:
     return run
 
 
-def row(point: Point, outcome: task.Outcome) -> Row:
+def row(point: Point, outcome: compute_point.Outcome) -> Row:
     assert outcome.error is None, outcome.error
     return Row(
         key=point.key,
@@ -133,7 +133,7 @@ def test_the_recurrence_of_the_weights_shifted_by_one_index_is_seen(checked, mon
             w[k] = (1.0 - (alpha + 1.0) / max(k + shift, 1)) * w[k - 1]
         return w
 
-    monkeypatch.setattr(fractional, "gl_weights", weights)
+    monkeypatch.setattr(zero, "gl_weights", weights)
     assert columns(checked(CURVES)) >= {"aae", "aepe", "sdae"}
 
 
@@ -143,7 +143,7 @@ def test_the_weights_of_this_test_are_the_packages_but_for_the_shift(checked, mo
     def weights(alpha: float, n: int):
         return np.cumprod([1.0, *(1.0 - (alpha + 1.0) / k for k in range(1, n))])
 
-    monkeypatch.setattr(fractional, "gl_weights", weights)
+    monkeypatch.setattr(zero, "gl_weights", weights)
     assert checked(CURVES).differences == []
 
 

@@ -12,7 +12,7 @@ import pytest
 from fracbench.data.datasets.middlebury import SEQUENCES, SIZES
 from fracbench.data.datasets.synthetic.scenes import SCENES
 from fracbench.errors import InputError
-from fracbench.harness.config import compose as config
+from fracbench.harness.config import compose
 from fracbench.harness.config.compose import GROUPS, RunConfig, group_options, known_keys, load_config
 from fracbench.harness.config.paths import asset
 from fracbench.methods.registry import METHODS
@@ -52,10 +52,10 @@ def own_conf(tmp_path, monkeypatch) -> Path:
     """A copy of ``conf`` that a test may change."""
     root = tmp_path / "project"
     shutil.copytree(asset("conf"), root / "conf")
-    monkeypatch.setattr(config, "asset", lambda relative: root / relative)
-    config._compose.cache_clear()
+    monkeypatch.setattr(compose, "asset", lambda relative: root / relative)
+    compose._compose.cache_clear()
     yield root / "conf"
-    config._compose.cache_clear()
+    compose._compose.cache_clear()
 
 
 def refusal(choices=(), **values) -> str:

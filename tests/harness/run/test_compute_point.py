@@ -15,7 +15,7 @@ from fracbench.data.pair import FramePair
 from fracbench.data.regions import Region
 from fracbench.errors import InputError
 from fracbench.evaluation.metrics import flow_errors
-from fracbench.harness.run import compute_point as task
+from fracbench.harness.run import compute_point
 from fracbench.harness.run.compute_point import point_arrays, run_point
 from fracbench.harness.run.point import Point
 from fracbench.methods.paper import energy_growth
@@ -35,8 +35,8 @@ def a_point(method="tvl1", scene="edge", box=None, context=0, digest=None, **val
 
 
 def use_method(monkeypatch, estimate):
-    monkeypatch.setattr(task, "get_method", lambda name: SimpleNamespace(estimate=estimate))
-    monkeypatch.setattr(task, "_warmed", set())
+    monkeypatch.setattr(compute_point, "get_method", lambda name: SimpleNamespace(estimate=estimate))
+    monkeypatch.setattr(compute_point, "_warmed", set())
 
 
 def still(frame0, frame1, params):
@@ -125,7 +125,7 @@ def test_the_clock_runs_during_the_estimate_alone(monkeypatch):
         return still(frame0, frame1, params)
 
     use_method(monkeypatch, estimate)
-    monkeypatch.setattr(task, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
+    monkeypatch.setattr(compute_point, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
     assert [run_point(a_point(**{"lambda": value}), None).seconds for value in (0.1, 0.2)] == [2.0, 2.0]
     assert sizes == [32 * 32, 128 * 160, 128 * 160]
     run_point(a_point("tvl1_sb", boundary="zero"), None)
@@ -244,7 +244,7 @@ def test_data_that_changed_since_they_were_planned_are_not_computed_on():
 def test_a_sequence_without_truth_cannot_be_scored(monkeypatch):
     frame = np.zeros((9, 9))
     bare = FramePair("edge", "synthetic", frame, frame, None, synthetic.digest("edge"))
-    monkeypatch.setattr(task, "_sequence", lambda *_: bare)
+    monkeypatch.setattr(compute_point, "_sequence", lambda *_: bare)
     outcome = run_point(a_point(), None)
     assert (outcome.status, outcome.error) == ("failed", "sequence edge: has no true flow to compare with")
 

@@ -15,9 +15,7 @@ import pytest
 pytest.importorskip("distributed", reason="needs the extra `dask`")
 
 from fracbench.errors import DataError, FracbenchError, InputError
-from fracbench.harness.run import compute_point as task
-from fracbench.harness.run import dask as cluster
-from fracbench.harness.run import sweep as execute
+from fracbench.harness.run import compute_point, dask, sweep
 from fracbench.harness.run.message import Job
 from fracbench.harness.run.plan import make_plan
 from fracbench.harness.run.point import Point
@@ -63,7 +61,7 @@ def running(clusters):
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
-    monkeypatch.setattr(cluster, "_POLL_SECONDS", 0.3)
+    monkeypatch.setattr(dask, "_POLL_SECONDS", 0.3)
 
 
 @pytest.fixture
@@ -82,12 +80,12 @@ def values(row):
 
 def replace_compute(monkeypatch, instead):
     """Let workers call ``instead(compute)``; functions reach them by value, with what is enclosed here."""
-    real = cluster._compute
+    real = dask._compute
 
     def compute(job, files, topic):
         return instead(job, lambda: real(job, files, topic))
 
-    monkeypatch.setattr(cluster, "_compute", compute)
+    monkeypatch.setattr(dask, "_compute", compute)
 
 
 def test_a_worker_killed_in_mid_sweep_costs_one_retry_and_changes_no_bit(running, store, monkeypatch):
@@ -106,12 +104,14 @@ def test_a_worker_killed_in_mid_sweep_costs_one_retry_and_changes_no_bit(running
             killed.append(running.workers.pop())
             os.kill(killed[0], signal.SIGKILL)
 
-    report = execute.run(made, store, jobs=1, on_row=on_row)
+    report = sweep.run(made, store, jobs=1, on_row=on_row)
     assert (report.computed, report.failed) == (9, [])
     assert sorted(row.attempts for row in report.rows.values()) == [1] * 8 + [2]
-    assert execute.run(made, store, jobs=1).computed == 0
+    assert sweep.run(made, store, jobs=1).computed == 0
     for key, point in made.unique().items():
-        here = Row.from_json(replace(report.rows[key], result=task.run_point(point, None).result).to_json())
+        here = Row.from_json(
+            replace(report.rows[key], result=compute_point.run_point(point, None).result).to_json()
+        )
         assert values(here) == values(report.rows[key])
 
 
@@ -123,7 +123,7 @@ def test_what_a_worker_returned_as_it_died_is_not_waited_for(row):
         def result(self, timeout):
             raise TimeoutError
 
-    pool, lost = object.__new__(cluster.DaskPool), Lost()
+    pool, lost = object.__new__(dask.DaskPool), Lost()
     pool._busy = {"worker": (a_job(key="k"), lost)}
     pool._rows = {} if row is None else {"k": row}
     assert pool._end("worker", lost) == [("k", row)]
@@ -144,7 +144,7 @@ def test_what_a_worker_finished_outlives_it(running, store, monkeypatch, tmp_pat
         os._exit(9)
 
     replace_compute(monkeypatch, instead)
-    report = execute.run(plan("alpha=0.1,0.2", "max_iter=1", address=running.address), store, jobs=1)
+    report = sweep.run(plan("alpha=0.1,0.2", "max_iter=1", address=running.address), store, jobs=1)
     assert [(row.status, row.attempts) for row in report.rows.values()] == [("done", 1)] * 2
     assert sorted(log.read_text().split()) == sorted(report.rows)
 
@@ -158,7 +158,7 @@ def test_a_worker_that_dies_twice_makes_a_row(running, store, monkeypatch):
         return compute()
 
     replace_compute(monkeypatch, instead)
-    report = execute.run(plan("alpha=0.3,0.4", "max_iter=1", address=running.address), store, jobs=1)
+    report = sweep.run(plan("alpha=0.3,0.4", "max_iter=1", address=running.address), store, jobs=1)
     assert sorted((row.status, row.attempts) for row in report.rows.values()) == [("crashed", 2), ("done", 1)]
 
 
@@ -166,28 +166,28 @@ def test_a_point_over_time_is_a_row(running, store, monkeypatch):
     def instead(job, compute):
         import time
 
-        from fracbench.harness.run import compute_point as task
+        from fracbench.harness.run import compute_point
 
         def run_point(point, folder, guard):
             with guard():
                 time.sleep(600)
 
-        real, task.run_point = task.run_point, run_point
+        real, compute_point.run_point = compute_point.run_point, run_point
         try:
             return compute()
         finally:
-            task.run_point = real
+            compute_point.run_point = real
 
     replace_compute(monkeypatch, instead)
     made = plan("alpha=0.5", "max_iter=1", "parallel.timeout=0.5", address=running.address)
-    (row,) = execute.run(made, store, jobs=1).rows.values()
+    (row,) = sweep.run(made, store, jobs=1).rows.values()
     assert (row.status, row.error, row.attempts) == ("timeout", "not finished within the 0.5 s allowed", 1)
 
 
 def test_real_data_are_sent_to_workers_that_have_none(running, store, middlebury):
     tokens = ["region=grove2_B", "n_scales=1", "n_warps=1", "max_iter=1", f"paths.data={middlebury}"]
     made = make_plan([*tokens, "parallel=dask", f"parallel.address={running.address}"])
-    report = execute.run(made, store, jobs=1)
+    report = sweep.run(made, store, jobs=1)
     assert [row.status for row in report.rows.values()] == ["done"]
 
 
@@ -199,29 +199,29 @@ def test_points_under_way_end_with_the_sweep(running, store, monkeypatch, tmp_pa
         import os
         import time
 
-        from fracbench.harness.run import compute_point as task
+        from fracbench.harness.run import compute_point
 
         def run_point(point, folder, guard):
             with log.open("a") as file:
                 file.write(f"{os.getpid()}\n")
             time.sleep(600)
 
-        real, task.run_point = task.run_point, run_point
+        real, compute_point.run_point = compute_point.run_point, run_point
         try:
             return compute()
         finally:
-            task.run_point = real
+            compute_point.run_point = real
 
-    class Interrupted(cluster.DaskPool):
+    class Interrupted(dask.DaskPool):
         def _wait(self, seconds):
             if len(log.read_text().split()) >= 2:
                 raise KeyboardInterrupt
             return super()._wait(seconds)
 
     replace_compute(monkeypatch, instead)
-    monkeypatch.setattr(execute, "_pool", lambda plan, jobs, store: Interrupted(running.address, store))
+    monkeypatch.setattr(sweep, "_pool", lambda plan, jobs, store: Interrupted(running.address, store))
     with pytest.raises(KeyboardInterrupt):
-        execute.run(plan("alpha=0,1,2", "max_iter=1", address=running.address), store, jobs=1)
+        sweep.run(plan("alpha=0,1,2", "max_iter=1", address=running.address), store, jobs=1)
     for pid in map(int, log.read_text().split()):
         deadline = time.monotonic() + 20
         while alive(pid):
@@ -240,7 +240,7 @@ def alive(pid):
 def test_a_scheduler_that_goes_ends_the_sweep_in_one_line(running, store):
     made = plan("alpha=0,1,2", "max_iter=1", address=running.address)
     with pytest.raises(FracbenchError, match="does not answer any more") as caught:
-        execute.run(made, store, jobs=1, on_row=lambda row: running.close())
+        sweep.run(made, store, jobs=1, on_row=lambda row: running.close())
     assert len(str(caught.value).splitlines()) == 1
     assert 1 <= len(store.rows()) <= 3
 
@@ -257,16 +257,16 @@ def a_job(**changes):
 
 def test_data_that_are_not_what_they_should_be_are_refused():
     with pytest.raises(DataError, match=r"Grove2/frame10\.png"):
-        cluster._unpack(a_job(), {"frame10.png": b"x", "frame11.png": b"y", "flow10.flo": b"z"})
+        dask._unpack(a_job(), {"frame10.png": b"x", "frame11.png": b"y", "flow10.flo": b"z"})
 
 
 def test_a_worker_without_the_data_asks_for_them():
-    assert cluster._compute(a_job(), {}, "topic") is False
+    assert dask._compute(a_job(), {}, "topic") is False
 
 
 def test_a_worker_with_another_solver_is_refused():
     with pytest.raises(InputError, match="install the same fracbench"):
-        cluster._compute(a_job(solver_version=SOLVER_VERSION + 1), {}, "topic")
+        dask._compute(a_job(solver_version=SOLVER_VERSION + 1), {}, "topic")
 
 
 @pytest.mark.parametrize(
@@ -274,13 +274,13 @@ def test_a_worker_with_another_solver_is_refused():
     [(None, "needs the address of a scheduler"), ("tcp://127.0.0.1:9", "no Dask scheduler answers there")],
 )
 def test_a_scheduler_that_is_not_there(address, message, monkeypatch):
-    monkeypatch.setattr(cluster, "_CONNECT_SECONDS", 0.5)
+    monkeypatch.setattr(dask, "_CONNECT_SECONDS", 0.5)
     with pytest.raises(InputError, match=message) as caught:
-        cluster.DaskPool(address, None)
+        dask.DaskPool(address, None)
     assert len(str(caught.value).splitlines()) == 1
 
 
 def test_dask_that_is_not_installed(monkeypatch):
-    monkeypatch.setattr(cluster.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(dask.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"pip install 'fracbench\[dask\]'"):
-        cluster.DaskPool("tcp://127.0.0.1:8786", None)
+        dask.DaskPool("tcp://127.0.0.1:8786", None)

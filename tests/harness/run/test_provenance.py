@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 import fracbench
-from fracbench.harness.run import plan, point, provenance
-from fracbench.harness.run import sweep as execute
+from fracbench.harness.run import plan, point, provenance, sweep
 from fracbench.harness.run.compute_point import run_point
 from fracbench.harness.run.store import Store
 from fracbench.model import SOLVER_VERSION
@@ -119,7 +118,7 @@ def test_why_a_point_is_run_again_is_said(cli, work, tiny, monkeypatch):
     assert "2 points computed (2 new), 0 taken from the store\n" in first.err
     more = cli("sweep", *tiny, "alpha=0.5,1,1.5", "method=tvl1_sb_alpha")
     assert "1 points computed (1 new), 2 taken from the store\n" in more.err
-    for module in (point, execute):
+    for module in (point, sweep):
         monkeypatch.setattr(module, "SOLVER_VERSION", 99)
     again = cli("sweep", *tiny, "alpha=0.5,1", "method=tvl1_sb_alpha")
     assert f"2 points computed (2 solver version {SOLVER_VERSION} -> 99)" in again.err

@@ -6,8 +6,7 @@ import json
 
 import pytest
 
-from fracbench.harness.run import plan, point
-from fracbench.harness.run import sweep as execute
+from fracbench.harness.run import plan, point, sweep
 from fracbench.harness.run.plan import plan_experiment
 from fracbench.harness.run.status import standing
 from fracbench.harness.run.store import Store
@@ -55,7 +54,7 @@ def test_every_point_is_counted_once(mini, fake_rows, monkeypatch):
     found = stand()
     assert (found.points, found.done, found.failed, found.stale, found.missing) == (5, 2, 1, 0, 2)
     assert found.why == {"new": 2}
-    for module in (point, execute):  # a new solver: what was done is stale
+    for module in (point, sweep):  # a new solver: what was done is stale
         monkeypatch.setattr(module, "SOLVER_VERSION", 99)
     found = stand()
     assert (found.points, found.done, found.failed, found.stale, found.missing) == (5, 0, 0, 3, 2)

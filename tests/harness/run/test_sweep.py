@@ -17,7 +17,7 @@ from fracbench.data.regions import Region
 from fracbench.errors import FracbenchError
 from fracbench.harness.run import point as point_module
 from fracbench.harness.run import pool as workers
-from fracbench.harness.run import sweep as execute
+from fracbench.harness.run import sweep
 from fracbench.harness.run.message import Job
 from fracbench.harness.run.plan import make_plan
 from fracbench.harness.run.store import Store
@@ -49,7 +49,7 @@ def replace_point(monkeypatch, instead):
     def compute(job, store, marks, parent):
         import os
 
-        from fracbench.harness.run import compute_point as task
+        from fracbench.harness.run import compute_point
         from fracbench.harness.run import pool as workers
         from fracbench.harness.run.message import Outcome
 
@@ -61,11 +61,11 @@ def replace_point(monkeypatch, instead):
                 return instead(point, finish)
 
         assert os.getpid() != parent, "a point was computed in the parent's own process"
-        real, task.run_point = task.run_point, run_point
+        real, compute_point.run_point = compute_point.run_point, run_point
         try:
             return workers._compute(job, store, marks, parent)
         finally:
-            task.run_point = real
+            compute_point.run_point = real
 
     monkeypatch.setattr(workers, "_compute", compute)
 
@@ -76,7 +76,7 @@ def replace_point(monkeypatch, instead):
 def test_each_point_is_computed_once_and_stored(store):
     made = plan("alpha=0:2:1")
     seen = []
-    report = execute.run(made, store, jobs=2, on_row=seen.append)
+    report = sweep.run(made, store, jobs=2, on_row=seen.append)
     assert (report.computed, report.reused, dict(report.reasons)) == (3, 0, {"new": 3})
     assert set(report.rows) == set(made.unique())
     assert sorted(row.key for row in seen) == sorted(report.rows)
@@ -88,7 +88,7 @@ def test_each_point_is_computed_once_and_stored(store):
         assert row.provenance["threads"] == 1
         assert row.provenance["data"] == made.unique()[key].data_digest
         assert {"commit", "dirty", "host", "versions"} <= set(row.provenance)
-    again = execute.run(made, store, jobs=2, on_row=seen.append)
+    again = sweep.run(made, store, jobs=2, on_row=seen.append)
     assert (again.computed, again.reused, len(seen)) == (0, 3, 3)
     assert {key: row.result for key, row in again.rows.items()} == {
         key: store.get(key).result for key in report.rows
@@ -96,24 +96,24 @@ def test_each_point_is_computed_once_and_stored(store):
 
 
 def test_a_larger_grid_computes_what_is_new(store):
-    execute.run(plan("alpha=0,1"), store, jobs=2)
-    report = execute.run(plan("alpha=0:2:0.5"), store, jobs=2)
+    sweep.run(plan("alpha=0,1"), store, jobs=2)
+    report = sweep.run(plan("alpha=0:2:0.5"), store, jobs=2)
     assert (report.computed, report.reused) == (3, 2)
 
 
 def test_points_of_two_names_are_computed_once(store):
-    report = execute.run(plan("alpha=0,1", "method=tvl1"), store, jobs=2)
+    report = sweep.run(plan("alpha=0,1", "method=tvl1"), store, jobs=2)
     assert (report.computed, len(report.rows)) == (1, 1)
 
 
 def test_what_is_missing_is_told_before_it_is_computed(store):
     told = []
     made = plan("alpha=0,1")
-    report, todo = execute.missing(made, store)
+    report, todo = sweep.missing(made, store)
     assert (list(todo), report.rows) == (list(made.unique()), {})
-    execute.run(made, store, jobs=2, on_start=lambda report, n: told.append((report.reused, n)))
+    sweep.run(made, store, jobs=2, on_start=lambda report, n: told.append((report.reused, n)))
     assert told == [(0, 2)]
-    report, todo = execute.missing(made, store)
+    report, todo = sweep.missing(made, store)
     assert (todo, report.reused) == ({}, 2)
 
 
@@ -133,10 +133,10 @@ def test_rows_are_stored_as_they_come(store, tmp_path, monkeypatch):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        execute.run(made, store, jobs=1, on_row=stop)
+        sweep.run(made, store, jobs=1, on_row=stop)
     with Store(tmp_path / "store.sqlite", readonly=True) as other:
         assert len(other.rows("done")) == 1
-    assert execute.run(made, store, jobs=1).computed == 2
+    assert sweep.run(made, store, jobs=1).computed == 2
 
 
 @pytest.mark.parametrize("method", ["tvl1", "tvl1_sb", "tvl1_sb_alpha"])
@@ -145,7 +145,7 @@ def test_the_number_of_workers_changes_no_bit(tmp_path, method):
     results = []
     for jobs in (1, 2):
         with Store(tmp_path / f"{jobs}.sqlite") as store:
-            rows = execute.run(made, store, jobs=jobs).rows
+            rows = sweep.run(made, store, jobs=jobs).rows
         results.append({key: {**row.result, "phases": sorted(row.result["phases"])} for key, row in rows.items()})
     assert results[0] == results[1]
     assert len({result["aepe"] for result in results[0].values()}) == 2
@@ -155,11 +155,11 @@ def test_the_number_of_workers_changes_no_bit(tmp_path, method):
 
 
 def test_another_version_of_the_solver_is_a_reason(store, monkeypatch):
-    execute.run(plan("alpha=1"), store, jobs=1)
+    sweep.run(plan("alpha=1"), store, jobs=1)
     version = point_module.SOLVER_VERSION
-    for module in (point_module, execute):
+    for module in (point_module, sweep):
         monkeypatch.setattr(module, "SOLVER_VERSION", version + 1)
-    report = execute.run(plan("alpha=1,2"), store, jobs=1)
+    report = sweep.run(plan("alpha=1,2"), store, jobs=1)
     assert dict(report.reasons) == {f"solver version {version} -> {version + 1}": 1, "new": 1}
     assert {row.solver_version for row in report.rows.values()} == {version + 1}
     assert len(store.rows("done")) == 3
@@ -170,7 +170,7 @@ def test_changed_data_are_a_reason(store, fake_rows):
     (row,) = fake_rows(made).values()
     old = {**vars(row), "key": "made from other data", "solver_version": point_module.SOLVER_VERSION}
     store.put(type(row)(**old))
-    report, todo = execute.missing(made, store)
+    report, todo = sweep.missing(made, store)
     assert dict(report.reasons) == {"data changed": 1}
     assert len(todo) == 1
 
@@ -184,7 +184,7 @@ def test_a_point_that_fails_is_a_row_and_the_others_go_on(store, monkeypatch):
 
     replace_point(monkeypatch, instead)
     made = plan("alpha=0:2:0.5")
-    report = execute.run(made, store, jobs=2)
+    report = sweep.run(made, store, jobs=2)
     assert report.computed == 5
     (failed,) = report.failed
     assert (failed.status, failed.error, failed.result) == ("failed", "made to fail", {})
@@ -197,11 +197,11 @@ def test_failed_points_are_run_again_only_on_request(store, fake_rows):
     made = plan("alpha=0,1")
     for row in fake_rows(made, status="failed").values():
         store.put(row)
-    report = execute.run(made, store, jobs=2)
+    report = sweep.run(made, store, jobs=2)
     assert (report.computed, report.reused, len(report.failed)) == (0, 2, 2)
-    report = execute.run(made, store, jobs=2, rerun_failed=True)
+    report = sweep.run(made, store, jobs=2, rerun_failed=True)
     assert (report.computed, report.failed, dict(report.reasons)) == (2, [], {"failed before": 2})
-    report = execute.run(made, store, jobs=2, rerun_failed=True)
+    report = sweep.run(made, store, jobs=2, rerun_failed=True)
     assert (report.computed, report.reused) == (0, 2)
 
 
@@ -233,7 +233,7 @@ def test_a_worker_that_dies_costs_its_point_one_retry_alone(store, monkeypatch, 
 
     replace_point(monkeypatch, instead)
     made = plan("alpha=0,1,0.5,1.5,2")
-    report = execute.run(made, store, jobs=2)
+    report = sweep.run(made, store, jobs=2)
     rows = by_alpha(made, report)
     assert {alpha: row.status for alpha, row in rows.items()} == {
         "0": "crashed", "1": "done", "0.5": "done", "1.5": "done", "2": "done"
@@ -247,7 +247,7 @@ def test_a_worker_that_dies_costs_its_point_one_retry_alone(store, monkeypatch, 
     assert sorted(events[-3:]) == sorted(alone) and events[-3:] != [alone[1], alone[0], alone[2]]
     # ... and the sweep can be run again.
     replace_point(monkeypatch, lambda point, finish: finish())
-    report = execute.run(made, store, jobs=2, rerun_failed=True)
+    report = sweep.run(made, store, jobs=2, rerun_failed=True)
     assert (report.computed, report.failed, dict(report.reasons)) == (1, [], {"crashed before": 1})
 
 
@@ -263,7 +263,7 @@ def test_one_worker_may_die_as_well(store, monkeypatch):
 
     replace_point(monkeypatch, instead)
     made = plan("alpha=0,1,2")
-    rows = by_alpha(made, execute.run(made, store, jobs=1))
+    rows = by_alpha(made, sweep.run(made, store, jobs=1))
     assert {alpha: (row.status, row.attempts) for alpha, row in rows.items()} == {
         "0": ("done", 1), "1": ("crashed", 2), "2": ("done", 1)
     }  # fmt: skip
@@ -283,7 +283,7 @@ def test_a_worker_that_dies_after_its_point_is_finished_loses_nothing(store, mon
         os._exit(9)
 
     monkeypatch.setattr(workers, "_compute", compute)
-    report = execute.run(plan("alpha=0,1,2"), store, jobs=1)
+    report = sweep.run(plan("alpha=0,1,2"), store, jobs=1)
     assert {(row.status, row.attempts) for row in report.rows.values()} == {("done", 1)}
     assert len(read_log(log)) == 3
 
@@ -305,7 +305,7 @@ def test_a_point_over_time_is_a_row_and_costs_no_other(store, monkeypatch, tmp_p
 
     replace_point(monkeypatch, instead)
     made = plan("alpha=0,1,2", "parallel.timeout=0.7")
-    report = execute.run(made, store, jobs=jobs)
+    report = sweep.run(made, store, jobs=jobs)
     rows = by_alpha(made, report)
     assert {alpha: (row.status, row.attempts) for alpha, row in rows.items()} == {
         "0": ("timeout", 1), "1": ("done", 1), "2": ("done", 1)
@@ -320,7 +320,7 @@ def test_the_estimate_alone_is_timed(store, monkeypatch):
     def compute(job, store, marks, parent):
         import time
 
-        from fracbench.harness.run import compute_point as task
+        from fracbench.harness.run import compute_point
         from fracbench.harness.run import pool as workers
 
         def slowly(function):
@@ -330,15 +330,15 @@ def test_the_estimate_alone_is_timed(store, monkeypatch):
 
             return instead
 
-        before = task._warm_up, task.flow_errors
-        task._warm_up, task.flow_errors = map(slowly, before)
+        before = compute_point._warm_up, compute_point.flow_errors
+        compute_point._warm_up, compute_point.flow_errors = map(slowly, before)
         try:
             return workers._compute(job, store, marks, parent)
         finally:
-            task._warm_up, task.flow_errors = before
+            compute_point._warm_up, compute_point.flow_errors = before
 
     monkeypatch.setattr(workers, "_compute", compute)
-    report = execute.run(plan("alpha=0,1", "parallel.timeout=0.5"), store, jobs=1)
+    report = sweep.run(plan("alpha=0,1", "parallel.timeout=0.5"), store, jobs=1)
     assert {(row.status, row.attempts) for row in report.rows.values()} == {("done", 1)}
 
 
@@ -367,13 +367,13 @@ def say_who(point, finish):
 @pytest.mark.parametrize("noticed", [False, True])
 def test_a_worker_that_dies_while_it_is_idle_costs_nothing(store, monkeypatch, noticed):
     replace_point(monkeypatch, say_who)
-    (row,) = execute.run(plan("alpha=0"), store, jobs=1).rows.values()
+    (row,) = sweep.run(plan("alpha=0"), store, jobs=1).rows.values()
     pid = row.provenance["host"][0]
     os.kill(pid, signal.SIGKILL)
     if noticed:
         while _alive(pid):
             time.sleep(0.05)
-    report = execute.run(plan("alpha=1"), store, jobs=1)
+    report = sweep.run(plan("alpha=1"), store, jobs=1)
     assert [(row.status, row.attempts) for row in report.rows.values()] == [("done", 1)]
 
 
@@ -382,7 +382,7 @@ def test_workers_serve_one_sweep_after_another(store, monkeypatch):
     replace_point(monkeypatch, say_who)
     seen = set()
     for alpha in ("0", "0.25", "0.5", "0.75", "1"):
-        report = execute.run(plan(f"alpha={alpha}"), store, jobs=1)
+        report = sweep.run(plan(f"alpha={alpha}"), store, jobs=1)
         seen |= {tuple(row.provenance["host"]) for row in report.rows.values()}
     assert len(seen) <= 2
     assert {(watched, deaf) for _, watched, deaf in seen} == {(True, True)}
@@ -394,11 +394,11 @@ def test_workers_serve_one_sweep_after_another(store, monkeypatch):
 def test_rows_that_an_older_version_left_beside_the_store_are_taken_not_computed(store, fake_rows):
     made = plan("alpha=0,1")
     first, second = fake_rows(made).values()
-    folder = execute.claims_folder(store.path)
+    folder = sweep.claims_folder(store.path)
     folder.mkdir()
     (folder / f"{first.key}.json").write_text(first.to_json())
     (folder / f"{second.key}.json").write_text('{"key": ')
-    report, todo = execute.missing(made, store)
+    report, todo = sweep.missing(made, store)
     assert (list(report.rows), list(todo)) == ([first.key], [second.key])
     assert store.rows() == [first]
     assert list(folder.iterdir()) == []
@@ -414,13 +414,13 @@ with Claims(Path(sys.argv[1])) as claims:
 """
 
 
-@pytest.mark.skipif(execute.fcntl is None, reason="this system has no such locks")
+@pytest.mark.skipif(sweep.fcntl is None, reason="this system has no such locks")
 def test_two_sweeps_share_the_work(store, fake_rows, monkeypatch):
     """A point that another process has claimed is left to it, and its row is taken from the store."""
     replace_point(monkeypatch, lambda point, finish: finish())
     made = plan("alpha=0,1,2")
     theirs, *ours = fake_rows(made).values()
-    folder = execute.claims_folder(store.path)
+    folder = sweep.claims_folder(store.path)
     folder.mkdir()
     other = subprocess.Popen(
         [sys.executable, "-c", OTHER_SWEEP, str(folder), theirs.key],
@@ -429,7 +429,7 @@ def test_two_sweeps_share_the_work(store, fake_rows, monkeypatch):
         text=True,
     )
     assert other.stdout.readline() == "True\n"
-    with execute.Claims(folder) as claims:
+    with sweep.Claims(folder) as claims:
         assert [claims.take(theirs.key), claims.take(ours[0].key)] == [False, True]
         claims.release(ours[0].key)
 
@@ -438,15 +438,15 @@ def test_two_sweeps_share_the_work(store, fake_rows, monkeypatch):
             store.put(theirs)
             other.communicate("go on\n", timeout=60)
 
-    report = execute.run(made, store, jobs=2, on_row=on_row)
+    report = sweep.run(made, store, jobs=2, on_row=on_row)
     assert (report.computed, report.reused, len(report.rows)) == (2, 1, 3)
     assert report.rows[theirs.key] == theirs
 
 
-@pytest.mark.skipif(execute.fcntl is None, reason="this system has no such locks")
+@pytest.mark.skipif(sweep.fcntl is None, reason="this system has no such locks")
 def test_a_claim_ends_with_its_process(store):
-    folder = execute.claims_folder(store.path)
-    with execute.Claims(folder) as claims:
+    folder = sweep.claims_folder(store.path)
+    with sweep.Claims(folder) as claims:
         other = subprocess.Popen(
             [sys.executable, "-c", OTHER_SWEEP, str(folder), "abc"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
         )
@@ -465,11 +465,11 @@ def test_a_claim_holds_where_there_are_no_locks(store, monkeypatch):
         def lockf(*_):
             raise OSError(95, "not supported")
 
-    with execute.Claims(execute.claims_folder(store.path)) as claims:
+    with sweep.Claims(sweep.claims_folder(store.path)) as claims:
         assert claims.take("ab" * 32) and claims.take("ab" * 32)
         claims.release("ab" * 32)
         for substitute in (NoLocks, None):
-            monkeypatch.setattr(execute, "fcntl", substitute)
+            monkeypatch.setattr(sweep, "fcntl", substitute)
             assert claims.take("cd" * 32)
             claims.release("cd" * 32)
 
@@ -483,7 +483,7 @@ def test_the_largest_points_go_first(store, monkeypatch):
         for planned, region in zip(made.points, regions, strict=True)
     ]
     seen = []
-    execute.run(replace(made, points=tuple(points)), store, jobs=1, on_row=seen.append)
+    sweep.run(replace(made, points=tuple(points)), store, jobs=1, on_row=seen.append)
     assert [row.spec["box"] for row in seen] == [None, [0, 100, 0, 100], [0, 20, 0, 20]]
 
 
@@ -506,7 +506,7 @@ def test_workers_end_with_their_parent(tmp_path):
 
 
 ORPHANS = """
-from fracbench.harness.run import pool as workers, sweep as execute
+from fracbench.harness.run import pool as workers, sweep
 from fracbench.harness.run.plan import make_plan
 from fracbench.harness.run.store import Store
 
@@ -517,7 +517,7 @@ def run(path):
         time.sleep(600)
     workers._compute = compute
     with Store(path) as store:
-        execute.run(make_plan(["sequence=synthetic_flat"]), store, jobs=1)
+        sweep.run(make_plan(["sequence=synthetic_flat"]), store, jobs=1)
 
 if __name__ == "__main__":
     run("store.sqlite")
@@ -547,7 +547,7 @@ def test_workers_leave_ctrl_c_to_their_parent(store, monkeypatch):
         return finish()
 
     replace_point(monkeypatch, instead)
-    report = execute.run(plan("alpha=0,1"), store, jobs=1)
+    report = sweep.run(plan("alpha=0,1"), store, jobs=1)
     assert [row.status for row in report.rows.values()] == ["done", "done"]
 
 
@@ -572,7 +572,7 @@ def test_a_store_that_a_worker_cannot_write_is_one_clear_error(store, monkeypatc
 
     monkeypatch.setattr(workers, "_compute", compute)
     with pytest.raises(FracbenchError, match="the disk is full; free some space") as caught:
-        execute.run(plan(*("alpha=0:2:0.01",), "lambda=0.1,0.2"), store, jobs=1)
+        sweep.run(plan(*("alpha=0:2:0.01",), "lambda=0.1,0.2"), store, jobs=1)
     assert str(store.path) in str(caught.value)
 
 
@@ -580,9 +580,9 @@ def test_marks_that_cannot_be_written_are_one_clear_error(store, monkeypatch):
     replace_point(monkeypatch, lambda point, finish: finish())
     with closing(workers.LocalPool(1, store)) as pool:
         pool.close()
-        monkeypatch.setattr(execute, "_pool", lambda plan, jobs, store: pool)
+        monkeypatch.setattr(sweep, "_pool", lambda plan, jobs, store: pool)
         with pytest.raises(FracbenchError, match="No such file or directory; free some space") as caught:
-            execute.run(plan("alpha=0,1"), store, jobs=1)
+            sweep.run(plan("alpha=0,1"), store, jobs=1)
     assert pool._marks.name in str(caught.value)
     assert store.rows() == []
 
@@ -600,7 +600,7 @@ def test_one_job_means_one_point_at_a_time(store, monkeypatch, tmp_path):
         return finish()
 
     replace_point(monkeypatch, instead)
-    execute.run(plan("alpha=0,0.5,1,1.5"), store, jobs=1)
+    sweep.run(plan("alpha=0,0.5,1,1.5"), store, jobs=1)
     assert [what for what, _ in read_log(log)] == ["start", "end"] * 4
 
 
@@ -612,7 +612,7 @@ def test_workers_that_die_before_they_begin_end_the_sweep(store, monkeypatch):
 
     monkeypatch.setattr(workers, "_compute", compute)
     with pytest.raises(FracbenchError, match="die before they begin"):
-        execute.run(plan("alpha=0,1"), store, jobs=2)
+        sweep.run(plan("alpha=0,1"), store, jobs=2)
     assert store.rows() == []
 
 
@@ -620,5 +620,5 @@ def test_no_points_need_no_workers(store, fake_rows, monkeypatch):
     made = plan("alpha=0")
     for row in fake_rows(made).values():
         store.put(row)
-    monkeypatch.delattr(execute, "_pool")
-    assert execute.run(made, store, jobs=2).reused == 1
+    monkeypatch.delattr(sweep, "_pool")
+    assert sweep.run(made, store, jobs=2).reused == 1

@@ -14,7 +14,7 @@ from fracbench.model import regularizers, v_steps
 from fracbench.model.kernels import threads as threads_module
 from fracbench.model.kernels.cosine import LINES
 from fracbench.model.kernels.threads import count, parallel_for, parallel_map, use_threads, worth_threads
-from fracbench.model.operators import zero as fractional
+from fracbench.model.operators import zero
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3, 5])
@@ -84,7 +84,7 @@ def test_an_error_in_any_thread_is_raised():
 def test_the_flow_does_not_depend_on_the_number_of_threads(method, boundary, monkeypatch):
     monkeypatch.setattr(threads_module, "LEAST_PIXELS", 0)  # all scales, and all that is shared
     monkeypatch.setattr(v_steps, "LEAST_LIGHT_LINES", 64)
-    monkeypatch.setattr(fractional, "BLOCK_ROWS", 50)
+    monkeypatch.setattr(zero, "BLOCK_ROWS", 50)
     rng = np.random.default_rng(2)
     frame0 = rng.uniform(0, 255, (150, 210))
     frame1 = np.roll(frame0, 1, axis=1)

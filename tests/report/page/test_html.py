@@ -22,8 +22,7 @@ from fracbench.errors import InputError
 from fracbench.harness.run.store import Row, Store
 from fracbench.report.claims import claims
 from fracbench.report.claims.claims import Claim, Judged, Verdict
-from fracbench.report.page import background, exhibits, gallery, html
-from fracbench.report.page import sections as pages
+from fracbench.report.page import background, exhibits, gallery, html, sections
 from fracbench.report.page.elements import (
     Cell,
     Column,
@@ -244,7 +243,7 @@ def judged(*words, quote="the <b>quote</b>"):
 
 
 def test_verdicts_are_counted_and_shown_with_their_evidence():
-    section = pages.verdicts([judged("holds", "does not hold"), judged("holds in part", "does not hold")])
+    section = sections.verdicts([judged("holds", "does not hold"), judged("holds in part", "does not hold")])
     _, tallies, table = section.blocks
     counts = {card.name: {word: number for word, _, number in card.counts} for card in tallies.cards}
     assert counts["x"] == {"holds": 1, "holds in part": 1, "does not hold": 0, "cannot be judged": 0}
@@ -255,19 +254,19 @@ def test_verdicts_are_counted_and_shown_with_their_evidence():
     assert first[1].note == "because of x" and first[1].badge
     assert first[0].note == "Section 1\nTest: the test"
     assert table.filters == ["holds", "holds in part", "does not hold"]
-    order = [pages.verdicts([judged(word)]).blocks[2].rows[0][1].sort for word in pages.VERDICTS]
+    order = [sections.verdicts([judged(word)]).blocks[2].rows[0][1].sort for word in sections.VERDICTS]
     assert order == ["0", "1", "2", "3"]
 
 
 def test_a_claim_without_a_verdict_under_a_protocol_has_an_empty_cell():
-    table = pages.verdicts([judged("holds", "holds"), judged("does not hold")]).blocks[2]
+    table = sections.verdicts([judged("holds", "holds"), judged("does not hold")]).blocks[2]
     assert table.rows[1][2] == Cell("")
     text = render_page("t", "l", [], [Section("a", "a", "a", [table])])
     assert re.search(r'<td data-label="y"></td>', text)
 
 
 def test_words_of_the_paper_are_never_taken_for_html():
-    text = render_page("t", "l", [], [pages.verdicts([judged("holds", quote="<script>alert(1)</script>")])])
+    text = render_page("t", "l", [], [sections.verdicts([judged("holds", quote="<script>alert(1)</script>")])])
     assert "<script>alert" not in text
     assert "&lt;script&gt;alert(1)&lt;/script&gt;" in text
 
@@ -305,7 +304,7 @@ def one_sequence(**ratios) -> pd.DataFrame:
     ],
 )
 def test_cells_are_tinted_by_agreement(ratio, tone):
-    table = pages._wide(one_sequence(sb_aae=ratio), "reference")
+    table = sections._wide(one_sequence(sb_aae=ratio), "reference")
     cells = dict(zip([f"{column.group} {column.title}" for column in table.columns], table.rows[1], strict=True))
     assert cells["AAE, rad ratio"] == Cell(f"{ratio:.2f}", tone=tone)
     assert cells["AEPE, px ratio"] == Cell("1.00", tone="close")
@@ -313,13 +312,13 @@ def test_cells_are_tinted_by_agreement(ratio, tone):
 
 
 def test_the_smaller_error_is_bold():
-    table = pages._wide(one_sequence(sb_aae=0.9, sb_aepe=1.2), "reference")
+    table = sections._wide(one_sequence(sb_aae=0.9, sb_aepe=1.2), "reference")
     assert [[row[3].tone, row[6].tone] for row in table.rows] == [["", "strong"], ["strong", ""]]
 
 
 def test_scenes_have_no_column_of_the_paper():
     both = one_sequence().assign(published=np.nan, ratio=np.nan)
-    assert [column.title for column in pages._wide(both, "reference").columns] == [
+    assert [column.title for column in sections._wide(both, "reference").columns] == [
         "sequence", "method", "ours", "ours", "ours",
     ]  # fmt: skip
 
@@ -554,7 +553,7 @@ def test_tables_sort_and_filter(tmp_path):
     rows.append([Cell("row last"), Cell("shown", sort="9.5")])
     table = Table("to sort", [Column("name"), Column("value")], rows)
     given = [judged("holds", "does not hold"), judged("holds in part", "does not hold", quote="second")]
-    text = render_page("t", "l", [], [Section("a", "a", "a", [table]), pages.verdicts(given)])
+    text = render_page("t", "l", [], [Section("a", "a", "a", [table]), sections.verdicts(given)])
     steps = {
         ("word", "holds"): 1,  # not the one that holds in part
         ("column", "2"): 0,

@@ -12,8 +12,7 @@ import pytest
 from fracbench.data.datasets import middlebury as middlebury_data
 from fracbench.data.datasets.synthetic.scenes import scene
 from fracbench.errors import InputError
-from fracbench.figures import curves as figures
-from fracbench.figures import pictures
+from fracbench.figures import curves, pictures
 from fracbench.harness.config.experiment import Experiment, load_experiment
 from fracbench.harness.run import plan as plan_module
 from fracbench.harness.run.plan import plan_experiment
@@ -228,7 +227,7 @@ def drawn(monkeypatch, unwritten):
         calls.append((table, arguments))
         return "a figure"
 
-    monkeypatch.setattr(figures, "line_family", pretend)
+    monkeypatch.setattr(curves, "line_family", pretend)
     return calls
 
 
