@@ -50,7 +50,7 @@ def _sums(
     angles: NDArray[np.float64],
     lengths: NDArray[np.float64],
 ) -> tuple[int, int, int, float, float, float]:
-    """Do what `error_sums` says, from the errors of all pixels; angles that do not count are overwritten."""
+    """Compute the sums of `error_sums` from the errors of all pixels; angles of other pixels are overwritten."""
     height, width = wanted.shape
     n_pixels, n_unknown, n_nonfinite = 0, 0, 0
     total, distances = 0.0, 0.0

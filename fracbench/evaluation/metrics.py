@@ -81,7 +81,7 @@ def flow_errors(flow: Any, truth: Any, mask: Any = None) -> FlowErrors:
 
     flow, truth = _checked(flow, truth)
     wanted = _checked_mask(mask, truth.shape[1:])
-    with np.errstate(all="ignore"):  # where the sums are not compiled, they would warn of what is not finite
+    with np.errstate(all="ignore"):  # without compilation NumPy would warn of values that are not finite
         n_pixels, n_unknown, n_nonfinite, *sums = error_sums(flow, truth, wanted, _UNKNOWN_ABOVE)
     if n_pixels == 0:
         raise InputError(

@@ -1,4 +1,4 @@
-"""What a few repetitions say: means with intervals, where a minimum is, and what choosing it gains."""
+"""Statistics over repetitions: confidence intervals of means and minima, and leave-one-out choice."""
 
 from __future__ import annotations
 
@@ -82,10 +82,10 @@ def minimum_interval(samples: Any, level: float = LEVEL, seed: int = 0) -> tuple
 def held_out(samples: Any) -> Table:
     """Return each repetition's value at the place that is best for the mean of the other half of them.
 
-    The smallest of many mean values is too small, as it was chosen for being so; these values are not. The halves
-    are every other repetition. Leaving out one at a time would not do: where all choices agree, what was left out
-    had its say in the others'. Student's interval of these values still leaves 0 out a little too often, in 6 of
-    100 cases instead of 2.5 on its better side.
+    The smallest of many means is biased downwards by its selection; these values are not. The halves are every
+    other repetition. Leave-one-out would keep a bias, because each repetition takes part in the choices for the
+    others. Student's interval of these values still excludes 0 too often on its better side, in 6 of 100 cases
+    instead of 2.5.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def _checked(samples: Any) -> Table:
 
 @dataclass(frozen=True)
 class Choice:
-    """What `leave_one_out` chose.
+    """The settings that `leave_one_out` chose.
 
     Attributes
     ----------

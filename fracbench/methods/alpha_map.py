@@ -21,7 +21,7 @@ from fracbench.model.v_steps import VStep, channel_step
 
 
 def tvl1_sb_alpha_map(frame0: Array, frame1: Array, params: FlowParams, *, trace: bool = False) -> FlowResult:
-    """Compute flow with one order for each class of structure, and with what `data_terms.occlusion` offers.
+    """Compute flow with one order for each class of structure, and the extensions that `params` ask for.
 
     The classes are `structure_classes` of frame 0 at each scale.
     """
@@ -59,7 +59,7 @@ def flow_with_orders(
     alphas : sequence of float
         The orders, K of them.
     weights : ndarray, shape (K, H, W)
-        How much of each order a pixel has; see `MappedGradient`. They follow the frames down the pyramid.
+        Weight of each order at a pixel; see `MappedGradient`. They follow the frames down the pyramid.
 
     Returns
     -------
@@ -69,7 +69,7 @@ def flow_with_orders(
     Raises
     ------
     InputError
-        Frames that cannot be compared, or weights that are none.
+        Frames of different or too small size, or invalid weights.
     """
     shapes = pyramid.scale_shapes(frame0.shape, params.eta, params.n_scales)
     levels = [pyramid.build(plane, shapes, params.eta) for plane in weights]

@@ -97,11 +97,11 @@ def energy_growth(
     frame0, frame1 : ndarray, shape (H, W)
         Gray frames.
     flow : ndarray, shape (2, H, W)
-        What the method made of them; finite.
+        The flow that the method computed; finite.
     params : FlowParams
         Parameters it used.
     enough : float, optional
-        Below this an upper bound will do, which is had for a tenth of the price.
+        Below this an upper bound is returned, which takes a tenth of the time.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The one registry of methods: name -> what it depends on, and where its code is.
+"""The registry of methods: name -> parameters, defaults and the place of the code.
 
 The module itself imports no numerics: planning a sweep needs names and parameters only.
 """
@@ -14,7 +14,7 @@ from typing import Any
 from fracbench.errors import InputError, unknown_name
 from fracbench.model.params import FlowParams
 
-# What the paper does not have: of no concern to its methods, nor to the keys of their results.
+# Parameters of extensions: the paper's methods do not use them, nor do the keys of their results.
 _BEYOND = frozenset({
     "alpha_flat", "alpha_edge", "alpha_corner", "alpha_texture", "lambda_gradient", "derivatives", "edge_decay",
     "edge_power", "median_radius", "weighted_radius", "texture", "occlusion"
@@ -23,7 +23,7 @@ _PYRAMID = frozenset(FlowParams.names()) - _BEYOND - {
     "alpha", "boundary", "pad", "tau", "lambda_sb", "u_solver", "inner", "tol", "max_inner", "coupling",
     "coupling_step", "relaxation"
 }  # fmt: skip
-# Cheap iterations that gain little each: the default of six is for those of the exact u-step.
+# For cheap iterations of little progress; the default of six is for the exact u-step.
 _SMALL_STEPS = {"epsilon": 0.02, "max_iter": 300, "n_warps": 5}
 _BREGMAN = frozenset(FlowParams.names()) - _BEYOND - {"alpha", "boundary", "pad", "tau"}
 
@@ -162,7 +162,7 @@ register(
         "the same with an order for each class of structure in frame 0: flat, edge, corner, texture",
         "fracbench.methods.alpha_map:tvl1_sb_alpha_map",
         _BREGMAN | _BEYOND,
-        # the orders that have no weight at a pixel hold its flow back: its changes are smaller, not its distance
+        # orders without weight at a pixel slow the convergence of its flow, so that more iterations are needed
         {"n_warps": 5, "max_iter": 10},
     )
 )

@@ -26,7 +26,7 @@ FlowFilterFactory = Callable[[Array, Array, FlowParams], Callable[[Array], Array
 
 @dataclass
 class FlowResult:
-    """A computed flow and how it came about.
+    """A computed flow, with its iterations and timings.
 
     Attributes
     ----------
@@ -38,11 +38,11 @@ class FlowResult:
     params : FlowParams
         Parameters used.
     levels : list of LevelReport
-        One a scale, from coarsest to finest; empty for peers that do not tell.
+        One a scale, from coarsest to finest; empty for peers, which do not report them.
     seconds : dict
         Wall-clock seconds by phase.
     notices : list of str
-        What the user should know, e.g. fewer scales than asked for.
+        Notices for the user, e.g. that there are fewer scales than asked for.
     """
 
     flow: Array
@@ -61,7 +61,7 @@ class FlowResult:
     def stop_reason(self) -> str:
         """``"diverged"`` if any warp did, else ``"max_iter"`` if any hit it, else ``"converged"``.
 
-        ``"not told"`` for peers, which say nothing of their iterations.
+        ``"not told"`` for peers, which do not report their iterations.
         """
         if not self.levels and np.isfinite(self.flow).all():
             return "not told"
@@ -92,13 +92,13 @@ def coarse_to_fine(
     params : FlowParams
         Parameters.
     make_regularizer : callable
-        Gives the u-step for a scale, from frame 0 at that scale: of its shape, in its precision.
+        Returns the u-step of a scale, given frame 0 at that scale.
     make_v_step : callable, optional
-        Gives the v-step for a scale: the paper's by default.
+        Returns the v-step of a scale; the paper's by default.
     make_residual : callable, optional
-        Gives the data of a scale, from both frames there: the paper's by default.
+        Returns the data term of a scale, given both frames at that scale; the paper's by default.
     make_flow_filter : callable, optional
-        Gives what becomes of the flow after each warp, from both frames at a scale: nothing by default.
+        Returns the filter of the flow after each warp, given both frames at a scale; none by default.
     method : str, optional
         Name for the result.
     trace : bool, optional
@@ -133,7 +133,7 @@ def coarse_to_fine(
             residual, v_step = make_residual(*frames, params), make_v_step(flow, params)
             regularizer = make_regularizer(params, frames[0])
             filter_flow = make_flow_filter(*frames, params) if make_flow_filter else None
-            del frames  # whoever needs one has it
+            del frames  # free the memory of frames that no part has kept
             watch.lap("setup")
             flow, report = solve_single_level(
                 residual, flow, params, regularizer, v_step, watch, filter_flow=filter_flow, trace=trace

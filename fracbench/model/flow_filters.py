@@ -1,4 +1,4 @@
-"""Median filters of a flow between warps: plain, and weighted by what is seen near motion edges."""
+"""Median filters of a flow between warps: plain, and weighted by visibility near motion edges."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def weighted_median(
 
 @jit
 def _select(values: Array, weights: Array, count: int, wanted: float) -> float:
-    """Return the smallest of the first `count` values below or at which there is the weight `wanted`.
+    """Return the smallest of the first `count` values with a cumulative weight of at least `wanted`.
 
     Hoare's selection; both arrays are reordered.
     """

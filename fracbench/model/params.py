@@ -1,4 +1,4 @@
-"""The parameters of the methods: one typed, validated record, and the table of what each means."""
+"""The parameters of the methods: one typed, validated record, with the meaning of each."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fracbench.errors import InputError, unknown_name
 
 @dataclass(frozen=True)
 class ParamInfo:
-    """What a parameter means and which values it may take.
+    """The meaning and the range of a parameter.
 
     Attributes
     ----------
@@ -25,7 +25,7 @@ class ParamInfo:
     symbol : str
         The paper's symbol, LaTeX; empty if the paper has none.
     paper_range : str
-        The range of Table 1, or what the paper says; empty if it says nothing.
+        The range of Table 1, or the paper's words; empty if it says nothing.
     low, high : float
         Bounds, both allowed unless `open_low`.
     open_low : bool
@@ -189,7 +189,7 @@ class FlowParams:
 
     @classmethod
     def info(cls, name: str) -> ParamInfo:
-        """Return what is known of a parameter, by either of its spellings."""
+        """Return the meaning and the range of a parameter, by either of its spellings."""
         field = cls.__dataclass_fields__[_field_name(name)]
         return typing.cast(ParamInfo, field.metadata["info"])
 
@@ -240,7 +240,7 @@ def _hints() -> dict[str, Any]:
 
 @lru_cache(maxsize=4096, typed=True)
 def _accepted(name: str, value: Any) -> Any:
-    """Return the value of a field in its type, or say what is allowed."""
+    """Return the value of a field in its type; the error states the allowed values."""
     converted = _coerce(name, _hints()[name], value)
     _check_range(name, FlowParams.info(name), converted)
     return converted
@@ -250,7 +250,7 @@ _WORDS = {bool: "true or false", int: "a whole number", float: "a number"}
 
 
 def _coerce(name: str, hint: Any, value: Any) -> Any:
-    """Convert `value` (possibly a string) to the annotated type, or say what is allowed."""
+    """Convert `value` (possibly a string) to the annotated type; the error states the allowed values."""
     options = typing.get_args(hint)
     if isinstance(hint, types.UnionType):
         if value is None or (isinstance(value, str) and value.lower() in ("none", "null", "auto")):

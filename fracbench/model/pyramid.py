@@ -70,7 +70,7 @@ def stretch(frame0: Array, frame1: Array, dtype: np.dtype) -> tuple[Array, Array
 
 
 def scaling(frame0: Array, frame1: Array) -> tuple[float, float]:
-    """Return what `stretch` subtracts from both frames, and the factor that it multiplies them by then."""
+    """Return the offset that `stretch` subtracts from both frames, and its gain."""
     low = min(float(frame0.min()), float(frame1.min()))
     high = max(float(frame0.max()), float(frame1.max()))
     return (low, 255.0 / (high - low)) if high > low else (0.0, 1.0)
@@ -103,7 +103,7 @@ def smooth(image: Array, sigma: float) -> Array:
 
 @jit
 def _mirrored(k: int, n: int) -> int:
-    """Return which of `n` samples stands at place `k`, which may be far outside, of their mirror images."""
+    """Return the index of the sample at position `k` of the periodic mirror extension of `n` samples."""
     k %= 2 * n
     return k if k < n else 2 * n - 1 - k
 
@@ -170,8 +170,8 @@ def upsample_flow(flow: Array, shape: tuple[int, int], gain: float | None = None
     shape : tuple of int
         ``(H, W)`` of the fine scale.
     gain : float or None, optional
-        Factor on both components; None for the true ratio of the sizes (``W/w`` and ``H/h``), which
-        is what a displacement asks for (errata, item 6).
+        Factor on both components; None for the true ratios of the sizes, ``W/w`` and ``H/h``
+        (errata, item 6).
 
     Returns
     -------

@@ -25,7 +25,7 @@ from fracbench.model.sweeps import (
 
 
 class Regularizer(Protocol):
-    """What the single-level solver asks of a u-step.
+    """The interface of a u-step.
 
     Attributes
     ----------
@@ -175,7 +175,7 @@ class SplitBregman:
         self.operator = operator
         self._theta, self._mu = theta, mu
         weights = operator.pixel_weights
-        # Not 0, which would be divided by norms whose squares are no normal numbers.
+        # Not 0: it would be divided by norms whose squares underflow.
         self._least = float(np.finfo(operator.dtype).eps ** 2)
         self._threshold = (
             1.0 / mu if weights is None else np.maximum(weights / weights.dtype.type(mu), self._least)
@@ -185,7 +185,7 @@ class SplitBregman:
         self._relaxation = relaxation if u_solver == "exact" and not self._cold else 1.0
         self._tol, self._max_inner = tol, max_inner
         self._z = aligned((2, *operator.range_shape), operator.dtype)
-        self._w = [aligned(operator.range_shape, operator.dtype)]  # by turns d - b and D u
+        self._w = [aligned(operator.range_shape, operator.dtype)]  # alternately d - b and D u
         self._started = [False, False]
         self._fused = u_solver == "gauss_seidel" and isinstance(operator, ForwardDifferences)
         if u_solver == "exact":
@@ -266,7 +266,7 @@ class SplitBregman:
 
 
 def edge_weights(image: Array, decay: float, power: float) -> Array:
-    """Return ``exp(-k |grad I|^b)`` over its mean: where the image has an edge the flow may have one.
+    """Return ``exp(-k |grad I|^b)`` over its mean: the regulariser is weaker at image edges.
 
     Parameters
     ----------
@@ -280,7 +280,7 @@ def edge_weights(image: Array, decay: float, power: float) -> Array:
     Returns
     -------
     ndarray, shape (H, W)
-        Positive, of mean 1, so that the balance with the data term stays.
+        Positive, of mean 1, so that the balance with the data term is kept.
     """
     steepness = np.hypot(slope(image, 0), slope(image, 1))
     weights = np.exp(-decay * steepness**power)

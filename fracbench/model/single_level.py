@@ -21,7 +21,7 @@ from fracbench.model.warping import Linearization
 
 @dataclass
 class LevelReport:
-    """What happened at one scale.
+    """Iterations and stop reasons at one scale.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ def solve_single_level(
     watch : Stopwatch
         Adds up seconds by phase.
     filter_flow : callable, optional
-        What becomes of the flow after each warp, e.g. a median filter.
+        Filter of the flow after each warp, e.g. a median filter.
     trace : bool, optional
         Record the energy after each iteration (slow).
 
@@ -127,7 +127,7 @@ def _alternate(
     report: LevelReport,
     trace: bool,
 ) -> tuple[Array, Array]:
-    """Minimise E(u, v) for one linearisation by turns over v and u; return u and an array that is free."""
+    """Minimise E(u, v) for one linearisation, alternating between v and u; return u and the spare array."""
     limit = params.epsilon**2 if params.epsilon_squared else params.epsilon
     stop, count, inner, energies = "max_iter", 0, 0, []
     while count < params.max_iter:

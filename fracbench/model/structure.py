@@ -1,4 +1,4 @@
-"""Flat, edge, corner or texture: what an image holds around each pixel, by its structure tensor alone."""
+"""Flat, edge, corner or texture: a class for each pixel of an image, from its structure tensor."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FLAT, EDGE, CORNER, TEXTURE = range(len(CLASSES))
 #: Standard deviations in pixels: of the derivatives, of the tensor, and of the neighbourhood that tells a corner
 #: from texture.
 DERIVATIVE, NEAR, WIDE = 1.0, 1.5, 4.0
-#: Structure is what exceeds so many times the noise (of which 3 pixels in 10,000 do), and ...
+#: Structure exceeds so many times the noise (3 pixels in 10,000 of pure noise do), and ...
 ABOVE_NOISE = 6.0
 #: ... this part of the energy that a twentieth of the image's pixels exceed: a seventh of their gradient.
 ABOVE_WEAK = 0.02

@@ -56,7 +56,7 @@ def _relax_jacobi(
 def _sweep_row(u: Array, row: Array, theta: float, mu: float, i: int) -> None:
     """Sweep over row `i`, whose right-hand side is `row`; it is overwritten.
 
-    All neighbours but the left one are known before, for all pixels at once; only the rest is a recurrence.
+    All neighbours but the left one are added beforehand, vectorised; only the left one makes a recurrence.
     """
     height, width = u.shape
     real = u.dtype.type  # or all would be computed in float64
@@ -75,7 +75,7 @@ def _sweep_row(u: Array, row: Array, theta: float, mu: float, i: int) -> None:
     left = u[i, 0] = row[0] * end
     for j in range(1, width - 1):
         row[j] *= inside
-    for j in range(1, width - 1):  # what has to wait for the pixel before it
+    for j in range(1, width - 1):  # the recurrence
         left = row[j] + penalty * inside * left
         u[i, j] = left
     if width > 1:
@@ -147,8 +147,7 @@ def gauss_seidel_dense(u: Array, rhs: Array, ny: Array, nx: Array, theta: float,
 def gauss_seidel_literal(u: Array, rhs: Array, weights: Float64Array, theta: float, mu: float) -> None:
     """Sweep as `gauss_seidel_dense` does, by the double sums that Algorithm 4 prints (signs corrected).
 
-    The twin that the speed of the others is measured against: the cost of a sweep grows with
-    ``H W (H^2 + W^2)``.
+    The baseline of speed measurements: the cost of a sweep grows with ``H W (H^2 + W^2)``.
 
     Parameters
     ----------

@@ -16,10 +16,10 @@ from fracbench.model.warping import Linearization
 
 
 class VStep(Protocol):
-    """What the alternation asks of a v-step: the flow that the u-step is to regularise."""
+    """The interface of a v-step: it returns the target of the u-step."""
 
     def relinearised(self) -> None:
-        """Take note that the residual is another one from now on."""
+        """Note that the residual has been linearised anew."""
         ...
 
     def restart(self) -> None:
@@ -75,7 +75,7 @@ class MultiplierStep:
         self._fresh = True
 
     def relinearised(self) -> None:
-        """Not relax towards the w of another residual."""
+        """Skip over-relaxation once: the last w belongs to another linearisation."""
         self._fresh = True
 
     def restart(self) -> None:
@@ -98,7 +98,7 @@ class MultiplierStep:
         return 1.0 if fresh else self._params.relaxation
 
 
-#: Rounds over the channels in a v-step; it starts where the last one ended.
+#: Sweeps over the channels' dual variables in a v-step, which starts from those of the last.
 DUAL_SWEEPS = 2
 
 
@@ -164,7 +164,7 @@ def coupled_thresholds(
     c, target : ndarray, shape (2, H, W)
         See `fracbench.model.kernels.pointwise.coupled_threshold`.
     sweeps : int
-        How often each dual is renewed.
+        Sweeps of coordinate ascent over the dual variables.
     start, stop : int
         The rows of the image to take.
     """
@@ -198,7 +198,7 @@ def coupled_thresholds(
 
 
 def channel_step(like: Array, params: FlowParams) -> VStep | None:
-    """Return the v-step for more data than brightness, or None if `params` ask for none.
+    """Return the v-step for brightness and gradient constancy, or None if `params` ask for brightness alone.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The choice of settings that has not seen what it is scored on."""
+"""Leave-one-out choice of settings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The literal, slow twin of every optimised loop, and a texture whose motion is known exactly.
+"""Literal, slow reference implementations of every optimised loop, and a texture of exactly known motion.
 
 Written from the paper's formulas with plain Python loops; nothing here imports the package. Arrays are
 ``[y, x]``, while the paper's pixel ``(i, j)`` has x first. N is the index of the last sample.

@@ -1,4 +1,4 @@
-"""The order that follows the image, as a method: what it must be equal to, and what it must not see."""
+"""The method with a map of orders: equalities and symmetries that it must keep."""
 
 from __future__ import annotations
 

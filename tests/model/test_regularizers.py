@@ -90,7 +90,7 @@ def test_gauss_seidel_and_exact_reach_the_same_minimiser(boundary, alpha):
 
 @pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="takes many seconds without compilation")
 def test_over_relaxation_does_not_keep_a_sweep_from_converging():
-    """One sweep solves the u-system too roughly to be over-relaxed: the iteration would not settle."""
+    """One sweep solves the u-system too roughly to be over-relaxed: the iteration would not converge."""
     shape, theta = (24, 28), 3.0
     operator = ForwardDifferences(1.0, shape)
     v = np.random.default_rng(0).normal(size=(2, *shape))
@@ -125,7 +125,7 @@ def test_jacobi_reaches_the_minimum_where_it_settles():
 
 
 def test_a_jacobi_sweep_a_step_neither_settles_nor_blows_up():
-    """d follows D u to within 3 / mu, which bounds the next u: the printed method swings about for ever."""
+    """d follows D u to within 3 / mu, which bounds the next u: the printed method oscillates for ever."""
     operator = ZeroGradient(2.0, SHAPE)
     regularizer = SplitBregman(operator, 0.7, 1.0, u_solver="jacobi")
     u, after = denoise(regularizer, 400), np.empty_like(V)
@@ -308,7 +308,7 @@ def test_a_cold_call_forgets_by_itself():
 
 
 def test_the_first_warm_step_starts_from_the_flow_at_hand():
-    """With d = D u and b = 0 the first u-step leaves u = v where it is."""
+    """With d = D u and b = 0 the first u-step does not move u = v."""
     out = np.empty_like(V)
     SplitBregman(make_operator("reflect", 1.2, SHAPE), THETA, MU).step(V, V, out)
     np.testing.assert_allclose(out, V, atol=1e-12)

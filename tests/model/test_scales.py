@@ -1,4 +1,4 @@
-"""The driver, which knows nothing of how a u-step or a v-step works."""
+"""The coarse-to-fine driver, with u-steps and v-steps of the tests."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fracbench.model.v_steps import PenaltyStep
 
 
 class Recorder:
-    """A u-step that copies v, and notes what is asked of it."""
+    """A u-step that copies v and records its calls."""
 
     def __init__(self, shape, dtype, value=None):
         self.operator = ForwardDifferences(1.0, shape, dtype)
@@ -30,7 +30,7 @@ class Recorder:
 
 
 class RecordingVStep(PenaltyStep):
-    """The paper's v-step, which notes what else is asked of it."""
+    """The paper's v-step, which records its other calls."""
 
     def __init__(self, like, params):
         super().__init__(like, params)

@@ -1,4 +1,4 @@
-"""The residuals of the data term: brightness, gradients, textures, and what is seen in both frames.
+"""The residuals of the data term: brightness, gradients, textures, and their weights by visibility.
 
 Imports `fracbench.errors` and the rest of `fracbench.model`.
 """

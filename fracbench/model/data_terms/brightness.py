@@ -15,7 +15,7 @@ from fracbench.model.warping import Linearization, central_gradient, interleave,
 
 
 class Residual(Protocol):
-    """What the solver asks of the data at a scale: the residual, linearised at a flow."""
+    """The interface of the data term at a scale: the residual, linearised at a flow."""
 
     def at(self, u0: Array) -> Linearization:
         """Return the residual at `u0`, (2, H, W); it is overwritten by the next call."""

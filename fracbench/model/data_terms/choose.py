@@ -21,12 +21,12 @@ def residual_factory(
     """Return the function that makes the residual of each scale from both frames there.
 
     Textures are taken at full resolution and follow the frames down the pyramid (Wedel et al. 2009): a coarse
-    scale's own would lack what long motions are found by.
+    scale's own would lack the structure by which large motions are found.
 
     Parameters
     ----------
     frame0, frame1 : ndarray, shape (H, W)
-        The frames as they came; what is seen in both is told by them, not by their textures.
+        The original frames, from which visibility is computed even if the data are textures.
     params : FlowParams
         Parameters.
     """
@@ -42,7 +42,7 @@ def residual_factory(
 def make_residual(
     frame0: Array, frame1: Array, params: FlowParams, images: tuple[Array, Array] | None = None
 ) -> Residual:
-    """Return the data of a scale that `params` ask for: of the frames, or of `images` in their place."""
+    """Return the data term of a scale that `params` ask for, of the frames or of `images` in their place."""
     plain = TwoSided if params.derivatives == "both" else Brightness
     kind = ImageAndGradient if params.lambda_gradient else plain
     found: Residual = kind(*(images or (frame0, frame1)), params)

@@ -1,4 +1,4 @@
-"""Data beyond brightness: derivatives of both frames, and gradients, which light changes least."""
+"""Gradient constancy beside brightness constancy, for robustness against changes of illumination."""
 
 from __future__ import annotations
 

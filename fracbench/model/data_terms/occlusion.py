@@ -1,7 +1,4 @@
-"""What goes beyond the paper at each scale: edge weights, other data, filters of the flow after each warp.
-
-Every part is off at its parameter's default, and then the numbers are those of the plain method, bit by bit.
-"""
+"""Visibility of each pixel in both frames, and a data term weighted by it."""
 
 from __future__ import annotations
 
@@ -36,10 +33,10 @@ class Visibility:
 
 
 class OcclusionWeighted:
-    """Data that count as much as they are seen in both frames: lambda times visibility, at each pixel.
+    """A data term weighted by visibility w at each pixel, ``lambda |w rho|``.
 
-    ``lambda |w rho|`` is the term, so that the v-steps know nothing of w. Where there is no flow yet, on the
-    coarsest scale, all is taken to be seen: what moves differs between the frames and would be silenced.
+    The v-steps need not know w. Before there is a flow, on the coarsest scale, w = 1: moving objects differ
+    between the frames and would be taken for occluded.
 
     Parameters
     ----------
@@ -53,7 +50,7 @@ class OcclusionWeighted:
         self._data, self._visibility = data, visibility
 
     def at(self, u0: Array) -> Linearization:
-        """Weigh the residual and its gradient by visibility at `u0`; see `single_level.Residual`."""
+        """Weigh the residual and its gradient by visibility at `u0`; see `data_terms.brightness.Residual`."""
         linear = self._data.at(u0)
         if u0.any():
             weights = self._visibility.of(u0)

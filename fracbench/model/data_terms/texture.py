@@ -1,4 +1,4 @@
-"""Structure and texture of frames (Wedel et al. 2009): shadows and shading are structure, data can do without."""
+"""Structure and texture of frames (Wedel et al. 2009): shadows and shading belong to the structure."""
 
 from __future__ import annotations
 

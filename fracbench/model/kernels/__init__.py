@@ -1,4 +1,4 @@
-"""Compiled loops and transforms over plain arrays, which know nothing of optical flow.
+"""Compiled loops and transforms over plain arrays, without any knowledge of optical flow.
 
-Imports NumPy, SciPy, numba and its own modules alone.
+May import `fracbench.errors`; besides, NumPy, SciPy and numba.
 """

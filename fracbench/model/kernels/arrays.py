@@ -1,4 +1,4 @@
-"""The array types of the model, and how its large arrays are made."""
+"""The array types of the model, and aligned allocation."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ import numpy.typing as npt
 Array: TypeAlias = npt.NDArray[np.floating[Any]]
 Float64Array: TypeAlias = npt.NDArray[np.float64]
 
-#: Bytes of a line of the cache.
+#: Bytes of a cache line.
 _LINE = 64
 
 
 def aligned(shape: tuple[int, ...], dtype: npt.DTypeLike) -> Array:
-    """Return zeros that begin with a line of the cache.
+    """Return an array of zeros aligned to a cache line.
 
-    The columns of an image are transformed sixteen at a time (`kernels.cosine`), in float32 a line of
-    the cache wide: where NumPy's own arrays begin, they would lie across two.
+    The columns of an image are transformed sixteen at a time (`kernels.cosine`), which is one cache line in
+    float32. NumPy's own arrays are not aligned to cache lines, so that each access would touch two.
 
     Parameters
     ----------

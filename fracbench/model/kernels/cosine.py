@@ -1,10 +1,10 @@
 r"""Fast cosine and sine transforms of the lines of an image, along either axis.
 
-Lines are real and so are their transforms, so two lines travel as the real and the imaginary part of one
-complex Fourier transform of length n (Makhoul 1980), two times eight lines at a time. Samples
+Lines and their transforms are real: two lines are the real and the imaginary part of one complex Fourier
+transform of length n (Makhoul 1980), and two times eight lines are transformed at a time. Samples
 ``x(j)`` have the orthonormal coefficients ``C(k) = beta(k) sum_j x(j) cos(pi k (2 j + 1) / (2 n))`` and
 ``S(k)``, the same with the sine, for ``j, k = 0..n-1``, ``beta(0) = sqrt(1/n)``, else ``sqrt(2/n)``: the DCT-II,
-and the DST-II numbered by frequency (``S(0) = 0``; frequency n, which a cosine series lacks, is left out).
+and the DST-II numbered by frequency (``S(0) = 0``; frequency n, absent from a cosine series, is left out).
 
 Each transform takes the lines from a start to a stop, so that threads can share an image.
 """
@@ -27,12 +27,12 @@ LINES = 2 * LANES
 
 @jit
 def gather(image: Array, axis: int, first: int, rows: NDArray[np.intp], work: Array, base: int) -> None:
-    """Put element j of the lines `first`, `first` + 1, ... into row ``base + rows[j]``: eight, and eight more.
+    """Copy element j of the 16 lines from `first` on to row ``base + rows[j]``.
 
-    Where fewer are left, the last one is repeated.
+    Where fewer than 16 are left, the last one is repeated.
     """
     if axis == 0 and first + LINES <= image.shape[1]:
-        for j in range(len(image)):  # both at once: they share a line of the cache
+        for j in range(len(image)):  # both at once: they share a cache line
             store_complex(work, base + rows[j], load(image, j, first), load(image, j, first + LANES))
         return
     for part in range(2):
@@ -73,7 +73,7 @@ def _gather_eight(image: Array, axis: int, first: int, rows: NDArray[np.intp], w
 def scatter(
     work: Array, base: int, rows: NDArray[np.intp], image: Array, axis: int, first: int, turned: bool
 ) -> None:
-    """Undo `gather`; where the real and the imaginary parts are `turned`, these are the first eight lines."""
+    """Undo `gather`; if `turned`, the imaginary parts hold the first eight lines."""
     if axis == 0 and first + LINES <= image.shape[1]:
         one, other = (first + LANES, first) if turned else (first, first + LANES)
         for j in range(len(image)):
@@ -125,8 +125,8 @@ def _scatter_eight(work: Array, part: int, rows: NDArray[np.intp], image: Array,
 def _from_fourier(work: Array, base: int, plan: LinePlan, factor: Array, sine: bool) -> None:
     """Turn Fourier coefficients of a + i b into ``factor`` times the coefficients of a and b.
 
-    A sine series is a cosine series turned round, of samples of which every other one is negative: that of
-    frequency k then stands in the row of frequency n - k, and 0 in the row of frequency 0.
+    A sine series is the reversed cosine series of the samples with alternating signs: the coefficient of
+    frequency k is stored in the row of frequency n - k, and 0 in the row of frequency 0.
     """
     n = plan.results.size
     real = factor.dtype.type
@@ -148,7 +148,7 @@ def _from_fourier(work: Array, base: int, plan: LinePlan, factor: Array, sine: b
 
 @jit
 def _to_fourier(work: Array, base: int, plan: LinePlan, factor: Array, sine: bool) -> None:
-    """Turn coefficients of a and b, in natural order, into what `fourier` makes b + i a of, times ``factor``."""
+    """Turn coefficients of a and b, in natural order, times ``factor`` into the input of `fourier` for b + i a."""
     n = plan.results.size
     real = factor.dtype.type
     a, b = load_complex(work, base)
@@ -185,7 +185,7 @@ def cosine(x: Array, axis: int, start: int, stop: int, factor: Array, plan: Line
     start, stop : int
         Lines; `start` is a multiple of LINES, and `stop` is one or the number of lines.
     factor : ndarray, shape (n,)
-        What the coefficients are multiplied by.
+        Factors on the coefficients.
     plan : LinePlan
         Plan for n in x's precision.
     out : ndarray, shape (H, W), C-contiguous
@@ -241,7 +241,7 @@ def derivatives(
             row = plan.back[sample]
             ar, ai = load_complex(work, row)
             br, bi = load_complex(work, n + row)
-            if sample % 2 == 1:  # of B's samples every other one is negative
+            if sample % 2 == 1:  # B's samples have alternating signs
                 store_complex(work, row, ar + br, ai + bi)
                 store_complex(work, n + row, ar - br, ai - bi)
             else:
@@ -296,7 +296,7 @@ def derivatives_adjoint(
             fourier(work, base, plan)
             _from_fourier(work, base, plan, even if base == 0 else odd, base > 0)
         for k in range(n):
-            # a sine coefficient stands in its mirror's row, that of frequency 0 (nothing) in its own
+            # sine coefficient k is in the row of frequency n - k (see `_from_fourier`), coefficient 0 in its own
             _add_row(work, plan.results[k], n + plan.results[(n - k) % n])
         if direct.size:
             gather(v, axis, first, plan.forth, work, n)

@@ -1,10 +1,10 @@
-r"""Long convolutions by a short memory: weights that are a sum of a few exponentials.
+r"""Convolutions with Gruenwald-Letnikov weights as recurrences: the weights as a sum of a few exponentials.
 
 From the third on, Gruenwald-Letnikov weights are moments of a density of one sign on (0, 1),
 ``w_k = const int_0^1 t^(k - alpha - 1) (1 - t)^alpha dt`` (Euler's integral of the binomial's gamma functions), so
 that ten or twelve exponentials, ``w_k = sum_m c_m rho_m^(k - 2)`` with ``rho_m`` in (0, 1), give hundreds of them
-to single precision. A left derivative then carries one number an exponential along a line, in place of all samples
-before: ``h_m(i) = rho_m h_m(i - 1) + u(i - 2)``.
+to single precision. A left derivative is then a recurrence along a line, with one number an exponential in place
+of all previous samples: ``h_m(i) = rho_m h_m(i - 1) + u(i - 2)``.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from fracbench.model.kernels.fft import load_complex, store_complex
 from fracbench.model.kernels.jit import jit
 from fracbench.model.kernels.simd import LANES
 
-#: Weights that are taken as they are: the moments begin behind them.
+#: Number of weights kept as they are; the sum of exponentials begins after them.
 TAPS = 2
-#: What the errors of all weights may add up to, relative to the largest weight: the rounding of single precision.
+#: Largest sum of the errors of all weights, relative to the largest weight: single precision.
 TOLERANCE = 1.2e-7
 _MOST_TERMS = 16
 
@@ -44,7 +44,7 @@ class ExponentialSum(NamedTuple):
 
 
 def exponential_sum(weights: Float64Array, dtype: np.dtype | type) -> ExponentialSum | None:
-    """Find few exponentials that add up to given weights.
+    """Fit a sum of a few exponentials to given weights.
 
     In the space of the first singular vectors of the weights' Hankel matrix, the shift by one is a matrix whose
     eigenvalues are the ratios (ESPRIT, Roy and Kailath 1989).

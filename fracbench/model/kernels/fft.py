@@ -18,10 +18,10 @@ from fracbench.model.kernels.simd import LANES, Lanes, load_row, store_row
 
 
 class LinePlan(NamedTuple):
-    """What the transforms of one length need, all computed in float64 and rounded once.
+    """Tables for the transforms of one length, computed in float64 and rounded once.
 
-    The Fourier transform leaves its results in the order of its digits reversed (decimation in frequency);
-    nothing is ever moved for that: whoever reads a result looks up its row.
+    The Fourier transform leaves its results in digit-reversed order (decimation in frequency). They are never
+    moved: a reader looks up the row of a result.
 
     Attributes
     ----------
@@ -30,13 +30,13 @@ class LinePlan(NamedTuple):
     starts, root_starts : ndarray of int
         Where the twiddle factors and the roots of each pass begin.
     together : int
-        Number of passes that go over all rows before the transforms that are left are completed one by one.
+        Number of passes over all rows, after which the remaining shorter transforms are done one by one.
     results : ndarray of int, shape (n,)
-        Row in which each result of the Fourier transform stands.
+        Row of each result of the Fourier transform.
     forth : ndarray of int, shape (n,)
-        Row at which each sample goes in: the even ones first, then the odd ones backwards.
+        Row of each sample before a transform: the even samples first, then the odd ones in reverse.
     back : ndarray of int, shape (n,)
-        Row in which each sample stands after a transform back.
+        Row of each sample after an inverse transform.
     natural : ndarray of int, shape (n,)
         0, 1, ... n-1.
     twiddles : ndarray, shape (2, number)
@@ -60,8 +60,8 @@ class LinePlan(NamedTuple):
     quarter: Array
 
 
-#: Transforms of as many rows are completed one by one: 6 to 16 KB in float32, which the first-level cache holds.
-#: For fewer the calls take longer than they spare.
+#: Shorter transforms of so many rows are done one by one: 6 to 16 KB in float32, which fit the first-level cache.
+#: For fewer rows the calls cost more than they save.
 LEAST_ROWS, MOST_ROWS = 96, 256
 
 
@@ -109,9 +109,8 @@ def line_plan(n: int, dtype: np.dtype) -> LinePlan:
 def _radices(n: int) -> list[int]:
     """Return the factors of `n` in the order of their passes: fours, the others from the largest on, a four.
 
-    So the rows that a reader of the results takes one after another are seldom a multiple of 4096 bytes apart, at
-    which distance they push each other out of the first-level cache; and the passes that are repeated most, and
-    have the shortest loops, are cheap ones.
+    In this order consecutive results are seldom a multiple of 4096 bytes apart, a distance at which they evict
+    each other from the first-level cache; and the last passes, which have the shortest loops, are cheap ones.
     """
     factors, rest = [], n
     for radix in (4, 2, 3, 5):
@@ -130,7 +129,7 @@ def _radices(n: int) -> list[int]:
 
 
 def _digits_reversed(radices: list[int]) -> NDArray[np.intp]:
-    """Return the frequency that stands in each row after the passes."""
+    """Return the frequency of each row after the passes."""
     frequencies = np.zeros(1, np.intp)
     for radix in reversed(radices):
         frequencies = np.concatenate([frequencies * radix + j for j in range(radix)])
@@ -172,9 +171,9 @@ def _store_twiddled(work: Array, row: int, x: Lanes, y: Lanes, twiddles: Array, 
 
 @jit
 def fourier(work: Array, base: int, plan: LinePlan) -> None:
-    """Transform the rows `base`, `base` + 1, ... of `work` in place; ``plan.results`` says what then is where."""
+    """Transform the rows of `work` from `base` on in place; ``plan.results`` holds the row of each result."""
     n, passes = plan.results.size, plan.radices.size
-    first = int(np.intp(0))  # a literal 0 would have every pass compiled twice, once for it
+    first = int(np.intp(0))  # not a literal 0, for which numba would compile every pass again
     rest = _passes(work, base, n, first, plan.together, plan)
     for start in range(base, base + n, rest):
         _passes(work, start, rest, plan.together, passes, plan)
@@ -182,7 +181,7 @@ def fourier(work: Array, base: int, plan: LinePlan) -> None:
 
 @jit
 def _passes(work: Array, start: int, rows: int, first: int, last: int, plan: LinePlan) -> int:
-    """Take the passes ``first..last-1`` over some `rows`; return the length of the transforms that are left."""
+    """Run the passes ``first..last-1`` over `rows` rows; return the length of the remaining transforms."""
     stop, rest = start + rows, rows
     for i in range(first, last):
         radix, k = plan.radices[i], plan.starts[i]
@@ -284,7 +283,7 @@ def _odd_radix(
     roots: Array,
     first_root: int,
 ) -> None:
-    # The terms j and radix - j share their cosine and, but for the sign, their sine: half the products.
+    # The terms j and radix - j have the same cosine and opposite sines, which halves the products.
     half = radix // 2
     pairs = np.empty((4 * half + 4, LANES), work.dtype)
     for block in range(start, stop, radix * rest):
@@ -300,7 +299,7 @@ def _odd_radix(
                 tr, ti = tr + (xr + yr), ti + (xi + yi)
             store_complex(work, row, tr, ti)
             at = np.uintp(first_root)
-            for i in range(1, half + 1, 2):  # two at a time: each term, once loaded, serves two sums
+            for i in range(1, half + 1, 2):  # two sums at a time, so that each term is loaded once for both
                 fr, fi, gr, gi = ar, ai, ar, ai
                 pr, pi, qr, qi = zero, zero, zero, zero
                 for j in range(1, half + 1):

@@ -17,7 +17,7 @@ def differentiate_row(u: Array, i: int, d: Array) -> None:
     u : ndarray, shape (H, W)
         Image; rows ``i - 1`` and `i` are read.
     i : int
-        Row, 0 to H: the y-differences of the last row, 0, are written with row H, which there is not.
+        Row, 0 to H; H, one row below the image, writes the y-differences of the last row, which are 0.
     d : ndarray, shape (1, 2, H, W)
         Output.
     """
@@ -82,7 +82,7 @@ def right_hand_side(v: Array, w: Array, theta: float, mu: float, out: Array) -> 
 
 
 def column_pivots(direct: Float64Array, mu: float, height: int, dtype: np.dtype | type) -> Array:
-    """Eliminate in the columns' systems ``direct(j) + mu Ny``, all tridiagonal: the u-step once x is transformed.
+    """Factorise the columns' tridiagonal systems ``direct(j) + mu Ny``: the u-step once x is transformed.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def column_pivots(direct: Float64Array, mu: float, height: int, dtype: np.dtype 
     Returns
     -------
     ndarray, shape (rows, W)
-        One over the pivots, row by row until they repeat themselves, and last those of the last row.
+        Inverse pivots, row by row until they are constant, and last those of the last row.
     """
     if height == 1:
         return (1.0 / direct[None]).astype(dtype)

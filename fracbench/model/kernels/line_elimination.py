@@ -1,16 +1,15 @@
-r"""Long convolutions undone line by line: the u-system under `zero` where a basis has made one axis diagonal.
+r"""The u-system under `zero`, solved line by line once a basis has made the other axis diagonal.
 
-A left derivative is the output of a system with a short memory (`kernels.exponential_sum`). Before sample j
-it knows ``x_0 = u(j - 1)`` and one number an exponential, ``x_m = sum_{k >= 2} rho_m^(k - 2) u(j - k)``, and gives
-``u(j) + w x`` with ``w = (w_1, c_1, ..., c_M)``. So ``(s + mu T^T T) u = f`` is a control problem: find the least
-``sum_j s/2 u(j)^2 + mu/2 (u(j) + w x(j))^2 - f(j) u(j)``. From the last sample back (Bellman), the best u(j) is
-linear in what is known before it, and what that costs is quadratic again,
+A left derivative is the output of a linear system with few states (`kernels.exponential_sum`). Before sample j
+the states are ``x_0 = u(j - 1)`` and, for each exponential, ``x_m = sum_{k >= 2} rho_m^(k - 2) u(j - k)``; the
+output is ``u(j) + w x`` with ``w = (w_1, c_1, ..., c_M)``. So ``(s + mu T^T T) u = f`` is a linear-quadratic
+control problem: minimise ``sum_j s/2 u(j)^2 + mu/2 (u(j) + w x(j))^2 - f(j) u(j)``. By dynamic programming from
+the last sample back, the best u(j) is linear in the states before it, and the remaining cost quadratic in them,
 
     ``u(j) = (f(j) + q_0(j + 1)) / r(j) - k(j) x(j)``.
 
-The gains k and r are a matter of s and mu alone (a Riccati recursion). With them a line takes one pass backwards,
-which carries q, and one forwards, which carries x. With a memory of one sample, it is the elimination in
-`fracbench.model.kernels.forward_rows`.
+The gains k and r depend on s and mu only (a Riccati recursion). With them a line takes one backward pass for q and
+one forward pass for x. With a single state it is the elimination in `fracbench.model.kernels.forward_rows`.
 """
 
 from __future__ import annotations
@@ -30,14 +29,15 @@ from fracbench.model.kernels.simd import LANES
 
 
 class LineGains(NamedTuple):
-    """What is known of the lines' systems beforehand.
+    """The factorisation of the lines' systems.
 
     Attributes
     ----------
     rows : ndarray, shape (number, 2 (M + 2), LANES)
         ``1 / r`` and the gains on x, of `LINES` lines each, in the precision of the weights.
     which : ndarray of int, shape (ceil(lines / LINES), n)
-        The row of each block of lines and each sample, counted from the last one: they change less and less.
+        Row of each block of lines and each sample, counted from the last one. The gains converge, so that many
+        samples have the same row.
     """
 
     rows: Array
@@ -45,7 +45,7 @@ class LineGains(NamedTuple):
 
 
 def line_gains(weights: ExponentialSum, direct: Float64Array, mu: float, n: int) -> LineGains:
-    """Eliminate in the lines' systems, ``direct(i) + mu T^T T``.
+    """Factorise the lines' systems, ``direct(i) + mu T^T T``.
 
     Parameters
     ----------
@@ -86,10 +86,10 @@ def _eliminate(
     rows: Array,
     which: NDArray[np.intp],
 ) -> int:
-    """Write the gains of some lines, each row for as long as they stay the same to rounding; return their number.
+    """Write the gains of some lines, a new row when they change by more than rounding; return the number of rows.
 
-    From step to step, what x costs changes by ``change y y^T``, of rank one: a step takes a few operations a state
-    (the Riccati recursion in Chandrasekhar's form).
+    The cost matrix changes by ``change y y^T``, of rank one, in each step, so that a step takes a few operations a
+    state (the Riccati recursion in Chandrasekhar's form).
     """
     n, states = len(rows), known.size
     r = lanes + mu
@@ -106,7 +106,7 @@ def _eliminate(
             inverse[i] = 1.0 / r[i]
             drift[i] = 0.0
         for m in range(states):
-            reach = 1.0 / (1.0 - ratios[m - 1]) if m > 0 else 1.0  # the most that x_m makes of u
+            reach = 1.0 / (1.0 - ratios[m - 1]) if m > 0 else 1.0  # the largest x_m for u of size 1
             for i in range(LINES):
                 gain[m, i] = kr[m, i] * inverse[i]
                 drift[i] += reach * abs(gain[m, i] - kept[m, i])
@@ -118,7 +118,9 @@ def _eliminate(
                     rows[number, m + 1, i] = kept[m, i] = gain[m, i]
             number, since = number + 1, step
         which[step] = number - 1
-        if step > 2 * since:  # what is left changes at least as the inverse of the step: as much again at most
+        if (
+            step > 2 * since
+        ):  # the gains converge at least as 1 / step: the remaining change is at most as much again
             which[step:] = number - 1
             break
         _step_back(ratios, gain, r, change, kr, y)
@@ -134,7 +136,7 @@ def _step_back(
     kr: Float64Array,
     y: Float64Array,
 ) -> None:
-    """Go to the sample before; to the next, x goes as ``x_m <- rho_m x_m + x_0``, ``x_0 <- u``."""
+    """Go back by one sample; forwards the states go ``x_m <- rho_m x_m + x_0``, ``x_0 <- u``."""
     passed, fed, rise = np.zeros(LINES), np.empty(LINES), np.empty(LINES)
     for m in range(1, len(y)):
         for i in range(LINES):

@@ -11,7 +11,7 @@ from numba.extending import overload
 from fracbench.model.kernels.arrays import Array
 from fracbench.model.kernels.jit import jit
 
-#: Below this squared image gradient (gray levels per pixel, squared) the data say nothing: TH is 0.
+#: Below this squared image gradient (gray levels per pixel, squared) there is no data term: TH is 0.
 GRADIENT_IS_ZERO = 1e-10
 
 
@@ -93,7 +93,7 @@ def coupled_threshold(
     c : ndarray, shape (2, H, W)
         Multiplier, overwritten.
     target : ndarray, shape (2, H, W)
-        The last target, overwritten by the next: what the u-step regularises.
+        The last target of the u-step, overwritten by the next.
     start, stop : int
         The rows of the image to take.
     """
@@ -155,7 +155,7 @@ def _compile_weight_at(weights: Any, pair: Any, pairs: Any, i: Any, j: Any) -> A
 
 @jit
 def shrink_difference(z: Array, threshold: Any, w: Array, start: int, stop: int) -> None:
-    """Write ``d - b``, what the u-step needs, for ``d = shrink(z, threshold)`` and ``b = z - d``.
+    """Write ``d - b``, the input of the u-step, for ``d = shrink(z, threshold)`` and ``b = z - d``.
 
     The shrinkage is isotropic: each (x, y) pair by its euclidean norm, shrink(0) = 0; equation (shrinkalpha).
     b, equation (csbalpha), is the projection of z on the ball of radius `threshold`.

@@ -12,11 +12,11 @@ from typing import TypeVar
 from fracbench.errors import InputError
 from fracbench.model.kernels.cosine import LINES
 
-#: Fewer lines than this are not worth waking a thread for...
+#: The smallest number of lines worth a thread of its own...
 LEAST_LINES = 64
-#: ...nor are images of fewer pixels...
+#: ...the smallest number of pixels of an image...
 LEAST_PIXELS = 15_000
-#: ...nor fewer lines than this of what takes a few operations a pixel.
+#: ...and the smallest number of lines for loops of a few operations a pixel.
 LEAST_LIGHT_LINES = 256
 
 T = TypeVar("T")
@@ -58,7 +58,7 @@ def _team(pool: ThreadPoolExecutor, number: int) -> Iterator[None]:
 
 @contextmanager
 def worth_threads(pixels: int) -> Iterator[None]:
-    """Let one thread do all within a ``with`` block on images of so few `pixels` that others would take longer."""
+    """Use one thread within a ``with`` block if an image of `pixels` pixels is too small for several."""
     token = _threads.set(count() if pixels >= LEAST_PIXELS else 1)
     try:
         yield
@@ -72,9 +72,9 @@ def count() -> int:
 
 
 def parallel_for(work: Callable[[int, int], object], lines: int, least: int = LEAST_LINES) -> None:
-    """Call ``work(start, stop)`` for ranges that make up ``0..lines-1``, at the same time.
+    """Call ``work(start, stop)`` in parallel for ranges that make up ``0..lines-1``.
 
-    Within a range `work` may share on, among the threads that are left to it.
+    Within a range `work` may call `parallel_for` again; it then gets its part of the threads.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def parallel_for(work: Callable[[int, int], object], lines: int, least: int = LE
 
 
 def parallel_map(work: Callable[[T], R], items: Sequence[T]) -> list[R]:
-    """Return ``[work(item) for item in items]``, computed at the same time; see `parallel_for`."""
+    """Return ``[work(item) for item in items]``, computed in parallel; see `parallel_for`."""
     if count() == 1:
         return [work(item) for item in items]
     found: dict[int, R] = {}

@@ -1,4 +1,4 @@
-"""A gradient whose order varies from pixel to pixel: several orders at once, each with a weight a pixel."""
+"""A gradient whose order varies from pixel to pixel: several orders with pixelwise weights."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class MappedGradient(CosineGradient):
         self._spread(d)
 
     def _spread(self, d: Array) -> None:
-        # The first order's place holds the coefficients that all need: it comes last.
+        # The first order's array holds the coefficients that all orders read: overwrite it last.
         for order, part in reversed(list(zip(self._orders, self._of_orders(d), strict=True))):
             order.spread(d[0], part)
 

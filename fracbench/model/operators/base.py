@@ -1,13 +1,13 @@
-"""Fractional gradients of Gruenwald-Letnikov type under three boundary rules (sections 2 and 3.2 of the paper).
+"""The interface of the gradient operators, and the u-step by diagonalisation (sections 2 and 3.2 of the paper).
 
 An operator maps an image ``u`` of shape ``(H, W)`` to ``pairs`` of (x, y) derivatives of shape
 ``(pairs, 2, h, w)`` and stands for the regulariser ``R(u) = weight * sum_pairs sum_pixels |D_pair u|``, where
 `MappedGradient` (`fracbench.model.operators.alpha_map`) gives the norms weights that vary from pixel to pixel.
 Each knows its exact adjoint and the basis in which its normal operator
-``weight * sum_pairs D_pair^T D_pair`` is the sum of two diagonals, one an axis: that is what makes the
-u-step a division.
+``weight * sum_pairs D_pair^T D_pair`` is the sum of two diagonals, one an axis, so that the u-step is a
+division.
 
-The adjoint under `zero` is the right derivative (the paper's integration by parts, made exact).
+`fracbench.model.operators.choose` lists the boundary rules.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from fracbench.model.kernels.arrays import Array, Float64Array
 
-#: What a u-system is solved by.
+#: A factorised u-system.
 System: TypeAlias = tuple[NDArray[Any], ...]
 
 
@@ -87,7 +87,7 @@ class GradientOperator(ABC):
         d[...] = self.apply(u)
 
     def factor(self, theta: float, mu: float) -> System:
-        """Return what `solve` needs to know of the u-system beforehand, ``1/theta + mu weight sum_pairs D^T D``.
+        """Factorise the u-system ``1/theta + mu weight sum_pairs D^T D`` for `solve`.
 
         The default is ``1/theta + mu ly`` and ``mu lx`` of the eigenvalues ``ly``, ``lx``, whose outer sum is the
         system in the operator's basis.
@@ -108,7 +108,7 @@ class GradientOperator(ABC):
     def solve(self, v: Array, w: Array, theta: float, mu: float, system: System, u: Array) -> None:
         """Take the u-step of one component: minimise ``|u - v|^2 / (2 theta) + mu/2 weight |D u - w|^2``.
 
-        The default is the formula; an operator that knows a faster way to the same numbers overrides it.
+        The default is the formula; operators override it by faster algorithms with the same result.
 
         Parameters
         ----------
@@ -119,7 +119,7 @@ class GradientOperator(ABC):
         theta, mu : float
             Tightness and split Bregman parameter.
         system : tuple of ndarray
-            What `factor` gave for `theta` and `mu`.
+            From `factor`, for the same `theta` and `mu`.
         u : ndarray, shape (H, W)
             The minimiser, overwritten.
         """

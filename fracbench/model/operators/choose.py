@@ -7,6 +7,8 @@ boundary    u outside the image                        derivatives (pairs)      
 `reflect`   mirrored about the edges                   left and right, each weighing 1/2      DCT-II
 `natural`   no flux (alpha = 1 only; Algorithm 3)      forward differences                    DCT-II
 ==========  =========================================  =====================================  ============
+
+The adjoint under `zero` is the right derivative: the discrete form of the paper's integration by parts.
 """
 
 from __future__ import annotations

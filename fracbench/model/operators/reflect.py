@@ -44,7 +44,7 @@ class CosineGradient(GradientOperator):
         return ny, nx
 
     def divide(self, w: Array, system: System) -> None:
-        """Solve the u-system whose right-hand side `w` holds in two parts, each in the basis of its axis alone.
+        """Solve the u-system whose right-hand side is given in two parts, each in the basis of one axis.
 
         Parameters
         ----------
@@ -135,14 +135,14 @@ class ReflectGradient(CosineGradient):
         self.spread(w[0], w)
 
     def collect(self, v: Array, w: Array, theta: float, mu: float) -> None:
-        """Write the right-hand side ``v / theta + mu weight D^T w``, each part in the basis of its axis alone.
+        """Write the right-hand side ``v / theta + mu weight D^T w`` in two parts, each in the basis of one axis.
 
         Parameters
         ----------
         v, w, theta, mu
             See `solve`; ``theta = inf`` leaves `v` out. ``w[0, 0]`` is overwritten by the cosine coefficients
-            along x of what the x-derivatives and v give, ``w[0, 1]`` by those along y of what the
-            y-derivatives give.
+            along x of the terms of v and of the x-derivatives, ``w[0, 1]`` by those along y of the
+            y-derivatives' term.
         """
         height, width = self.shape
         step, one = self.dtype.type(mu * self.weight), self._one_x
@@ -197,5 +197,5 @@ def _dst(x: Array, axis: int) -> Array:
 
 
 def _idst(x: Array, axis: int) -> Array:
-    # The coefficient of frequency 0 is 0 and comes to stand for frequency n, which a cosine series lacks.
+    # The coefficient of frequency 0 is 0 and takes the place of frequency n, absent from a cosine series.
     return scipy.fft.idst(np.roll(x, -1, axis=axis), type=2, norm="ortho", axis=axis, workers=1)

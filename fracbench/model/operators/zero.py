@@ -1,4 +1,4 @@
-"""Gruenwald-Letnikov derivatives (sections 2 and 3.2 of the paper) and the gradient under each boundary rule."""
+"""Gruenwald-Letnikov derivatives of images extended by 0 (sections 2 and 3.2 of the paper): boundary `zero`."""
 
 from __future__ import annotations
 
@@ -82,9 +82,9 @@ class LeftDerivative:
     Attributes
     ----------
     memory : ExponentialSum or None
-        What the weights are a sum of: those of a whole order exactly, of others on long lines in single precision.
+        The weights as a sum of exponentials: exact for a whole order, else in single precision on long lines.
     matrices : tuple of ndarray
-        Where there is no memory, the matrix and its transpose, with which a product from the right is faster.
+        Without `memory`, the matrix and its transpose (a product from the right is faster with the latter).
     """
 
     def __init__(self, alpha: float, n: int, pad: int, dtype: np.dtype | type) -> None:
@@ -117,7 +117,7 @@ class LeftDerivative:
 @lru_cache(maxsize=256)
 def _memory(alpha: float, n: int, dtype: np.dtype) -> ExponentialSum | None:
     weights = gl_weights(alpha, max(n, 3))
-    if not weights[3:].any():  # a whole order, or a short line: nothing counts from three samples back
+    if not weights[3:].any():  # a whole order, or a short line: all further weights are 0
         rest = np.trim_zeros(weights[2:3]).astype(dtype)
         return ExponentialSum(weights[:2].astype(dtype), np.zeros_like(rest), rest)
     return exponential_sum(weights, dtype) if n >= LEAST_SUMMED and dtype == np.float32 else None
@@ -139,7 +139,7 @@ def _solve_small(
 ) -> None:
     """Take the u-step by full products, without padding; see `ZeroGradient.solve`.
 
-    Called one by one from Python, the products of small matrices take less time than the calls.
+    For small matrices, calls from Python would take longer than the products.
     """
     ty, ty_back, tx, tx_back, qy, qy_back, qx, qx_back = matrices
     along_y, along_x = system
@@ -175,7 +175,7 @@ class ZeroGradient(GradientOperator):
         height, width = shape
         self.range_shape = (1, 2, height + pad, width + pad)
         self._along = [LeftDerivative(self.alpha, n, pad, self.dtype) for n in shape]
-        # The lines to eliminate in, in a basis of the other axis: the longer ones, as the products take the rest.
+        # Eliminate along the longer axis and diagonalise the other, as dense products are slower.
         axes = (1, 0) if width >= height else (0, 1)
         memories = [(axis, memory) for axis in axes if (memory := self._along[axis].memory) is not None]
         self._lines = memories[0] if memories else None
@@ -200,7 +200,7 @@ class ZeroGradient(GradientOperator):
         return x
 
     def _adjoints(self, d: Array, x: Array, y: Array) -> None:
-        """Write the adjoints of the derivatives along x and y to `x` and `y`; `y` may be the former's plane."""
+        """Write the adjoints of the derivatives along x and y to `x` and `y`; `y` may be ``d[0, 0]``."""
         height, width = self.shape
         along_y, along_x = self._along
         along_x.adjoint(d[0, 0, :height], 1, x)
@@ -219,7 +219,7 @@ class ZeroGradient(GradientOperator):
         return _eigenbasis(self.alpha, self.shape[axis], self.pad, self.dtype)
 
     def factor(self, theta: float, mu: float) -> System:
-        """Return the gains of the lines' systems that a basis of the other axis leaves, if they have a memory."""
+        """Factorise the lines' systems in the other axis' basis, if the weights are a sum of exponentials."""
         if self._lines is None:
             return super().factor(theta, mu)
         axis, weights = self._lines
@@ -262,9 +262,9 @@ class ZeroGradient(GradientOperator):
 
 
 def _product(a: Array, b: Array, out: Array) -> None:
-    """Write ``a b`` to `out`, by blocks of rows that threads share: BLAS's own are slower than one.
+    """Write ``a b`` to `out`, by blocks of rows in parallel: BLAS's own threads are slower than one.
 
-    How a row is rounded depends on the rows multiplied with it, so the blocks are the same for any threads.
+    The rounding of a row depends on its block, so the blocks are the same for any number of threads.
     """
 
     def take(start: int, stop: int) -> None:
@@ -275,8 +275,8 @@ def _product(a: Array, b: Array, out: Array) -> None:
     parallel_for(take, math.ceil(len(out) / BLOCK_ROWS), least=1)
 
 
-# As many bases as a sweep of 21 orders comes back to at six scales (with fewer it would find none of them): 15 MB
-# on a region, 150 MB on whole frames.
+# Enough for a sweep of 21 orders at six scales (a smaller cache would be cycled through without a hit): 15 MB on a
+# region, 150 MB on whole frames.
 @lru_cache(maxsize=256)
 def _eigenbasis(alpha: float, n: int, pad: int, dtype: np.dtype) -> tuple[Float64Array, Array, Array]:
     """Return the eigenvalues of ``T^T T``, a matrix of its eigenvectors in columns, and the transpose."""

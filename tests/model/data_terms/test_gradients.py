@@ -79,7 +79,7 @@ def test_one_channel_in_one_round_is_the_thresholding_operator(rng, frames):
 
 
 def test_a_round_starts_where_the_last_one_ended(rng):
-    """Many calls of few rounds with u held find what one call of many rounds finds."""
+    """Many calls of few sweeps with u fixed give the result of one call of many sweeps."""
     shape = (4, 5)
     u, linear = rng.normal(size=(2, *shape)), residuals(rng, shape)
     expected, _, _ = take(u, linear)

@@ -1,4 +1,4 @@
-"""What goes beyond the paper at a scale: weights by their formula, and nothing at all when it is off."""
+"""The extensions at a scale: weights against their formulas, and no effect when they are off."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def test_a_translation_is_found_with_everything_on(frames):
 
 @pytest.mark.parametrize("gradients", [False, True])
 def test_transposing_the_frames_transposes_the_flow(frames, gradients, monkeypatch):
-    """With gradients where each v-step is solved: a few rounds treat the channels in the order x, y."""
+    """With gradients where each v-step is solved: few sweeps depend on the order of the channels, x, y."""
     monkeypatch.setattr("fracbench.model.v_steps.DUAL_SWEEPS", 1000)
     values = {**EVERYTHING, "lambda_gradient": 0.3 * gradients, **SHORT, "max_iter": 3}
     transposed = flow([f.T.copy() for f in frames], **values)

@@ -1,4 +1,4 @@
-"""Structure and texture: the minimiser of Rudin, Osher and Fatemi's energy, and what is left without it."""
+"""Structure and texture: the minimiser of Rudin, Osher and Fatemi's energy, and the remaining texture."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Compiled loops are kept on disk, but none outlives a change of what it calls."""
+"""Compiled loops are cached on disk, and compiled anew when a function that they call has changed."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ def test_in_parts(rng):
 
 
 def control_problem(weights):
-    """The matrix that takes x to the next sample, without u, and what the derivative is made of x by."""
+    """The state matrix of x without u, and the output vector of the derivative."""
     a = np.diag(np.r_[0.0, weights.ratios.astype(float)])
     a[1:, 0] = 1.0
     return a, np.r_[weights.taps[1:], weights.factors].astype(float)
@@ -89,7 +89,7 @@ def control_problem(weights):
 
 @pytest.mark.parametrize("alpha", [0.3, 0.9, 0.97, 1.1, 1.6])
 def test_gains_follow_the_riccati_recursion(alpha):
-    """Taken literally, with a full matrix; what the gains are off by moves u by no more than rounding does."""
+    """The literal recursion with a full matrix; errors of the gains move u by no more than rounding."""
     mu, s, n = 5.0, 3.0, 640
     weights = LeftDerivative(alpha, n, 0, np.float32).memory
     gains, (a, known) = line_gains(weights, np.array([s]), mu, n), control_problem(weights)

@@ -1,4 +1,4 @@
-"""What rendered scenes are made of: layers with textures, supports and motions, and a studio to make them in."""
+"""The parts of rendered scenes: layers with textures, supports and motions, and a builder of scenes."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Motion:
 class Swirl:
     """The map ``phi(p) = c + R(p - c) + t``, R turning by ``angle exp(-|p - c|^2 / (2 size^2))``, in radians.
 
-    It keeps ``|p - c|``, on which alone R depends: the inverse turns back by as much.
+    It keeps ``|p - c|``, on which R depends: the inverse turns back by the same angle.
     """
 
     translation: Vector
@@ -121,16 +121,16 @@ class Layer:
 
 @dataclass(frozen=True)
 class SceneBuilder:
-    """What scenes are built from.
+    """The parameters of a scene, and the parts drawn from its random numbers.
 
     Attributes
     ----------
     scene : int
-        Number of the scene: each draws numbers of its own.
+        Number of the scene; each has random numbers of its own.
     shape : (int, int)
         Height and width.
     seed : int
-        Of the random numbers.
+        Seed of the random numbers.
     """
 
     scene: int
@@ -147,7 +147,7 @@ class SceneBuilder:
         return (self.shape[1] - 1) / 2.0, (self.shape[0] - 1) / 2.0
 
     def at(self, right: float, down: float) -> Vector:
-        """Return the point that many shorter sides away from the centre."""
+        """Return the point at this offset from the centre, in units of the shorter side."""
         side = min(self.shape)
         return self.centre[0] + right * side, self.centre[1] + down * side
 
@@ -165,7 +165,7 @@ class SceneBuilder:
         return Texture(mean, amplitude, np.cos(angle) / wavelength, np.sin(angle) / wavelength, phase)
 
     def behind(self, motion: Moving) -> Layer:
-        """Return a background, a little darker than what stands before it."""
+        """Return a background, a little darker than the objects before it."""
         return Layer(self.texture(0, mean=MID_GRAY - 30.0), motion)
 
     def before(self, stream: int, motion: Moving, distance: Callable[[Plane, Plane], Plane]) -> Layer:

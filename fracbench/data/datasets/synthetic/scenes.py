@@ -60,7 +60,7 @@ def scene(name: str, *, shape: tuple[int, int] | None = None, noise: float = 0.0
     noise : float, optional
         Standard deviation, in gray levels, of Gaussian noise added to both frames; it is not clipped.
     seed : int, optional
-        Chooses frequencies and phases of the textures, the noise, and in a lone scene directions and speeds.
+        Seed of the textures' frequencies and phases, the noise and, in a scene of one structure, the motions.
 
     Returns
     -------

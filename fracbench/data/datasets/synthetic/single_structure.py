@@ -1,7 +1,7 @@
-"""Scenes of one structure each: for the question which fractional order is best for which.
+"""Scenes of a single structure each, to find the best fractional order for each structure.
 
 The structure is in the middle of the frame. Speeds, directions, textures and, where there is one, the direction of
-the edge differ from seed to seed, so that what holds over seeds is the structure's doing.
+the edge differ from seed to seed, so that results that hold over seeds are due to the structure.
 
 ================= ==========================================================================================
 ``lone_flat``     weak texture, one motion

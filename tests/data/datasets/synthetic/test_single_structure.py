@@ -1,4 +1,4 @@
-"""Scenes of one structure: each is what it says, its flow is exact, and seeds differ in all that is not it."""
+"""Scenes of one structure: the structure is there, the flow exact, and all else differs between seeds."""
 
 from __future__ import annotations
 
