@@ -1,7 +1,8 @@
 """How far a recomputed cell may be from the stored one: ``results/reference/tolerances.toml``.
 
-Its numbers follow, by the rule of `derive`, from the spreads under ``results/reference/spread``, which
-``tools/spread.py`` measures; nothing in it is typed by hand but the reasons.
+One relative tolerance a column, and a short list of ill-conditioned rows with wider ones. The numbers follow, by
+the rule of `derive`, from the spreads under ``results/reference/spread``, which ``tools/spread.py`` measures; only
+the reasons are typed.
 """
 
 from __future__ import annotations
@@ -9,8 +10,9 @@ from __future__ import annotations
 import json
 import math
 import tomllib
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,19 +28,26 @@ MEASURED = ("aae", "aepe", "sdae")
 ABSOLUTE = 1e-6
 #: How many times the spread is let pass: no measurement has met every machine.
 MARGIN = 3.0
-#: The share of rows whose spread the column's tolerance covers; each row beyond has one of its own.
-COVERED = 0.9
+#: The largest relative tolerance of a column: rows that need more are ill-conditioned, and listed as such.
+#: A change of theta by 1 % is no longer seen in a rendered scene where those of aae and aepe are 0.01.
+WIDEST = {"aae": 0.005, "aepe": 0.005, "sdae": 0.01}
+#: Stands where a person has to write why some rows are ill-conditioned.
+NO_REASON = "not known yet"
 _SMALLEST = 1e-5
 
-_HEAD = """\
+_HEAD = f"""\
 # How far a recomputed cell may be from the stored one. A difference passes if it is at most
 # absolute + relative * |stored|. Counts must be equal.
-# `basis` says what the number rests on; `reason` says why a difference of that size is no change.
-# [[cell]]: cells of the stored tables that need a wider tolerance than their column.
+# `basis` says where the number comes from; `reason` says why a difference of that size is no change.
+# [[rows]]: ill-conditioned rows of a stored table (`*` stands for any text) and their wider relative tolerances,
+# {MARGIN:g} times their largest spread, rounded up to one digit.
 # Written by `python tools/spread.py --update`, which measures the spreads under spread/; only the reasons
 # are typed, and stay.
 """
-_FORM = "each of {} needs absolute, relative, basis, reason, and each [[cell]] table, row, column, relative"
+_FORM = (
+    "each of {} needs absolute, relative, basis, reason, and each [[rows]] table, rows, relative (a column's or "
+    "several), reason"
+)
 
 
 @dataclass(frozen=True)
@@ -66,28 +75,48 @@ class Tolerance:
 
 
 @dataclass(frozen=True)
-class Tolerances:
-    """The tolerance of each column, and the relative ones of the cells that need a wider one.
+class IllConditioned:
+    """Rows of a stored table whose errors move further than those of others.
 
     Attributes
     ----------
-    columns : mapping of str to Tolerance
-        By measured column.
-    cells : mapping of (str, str, str) to float
-        By table, row and column.
+    table : str
+        The stored table.
+    rows : str
+        Pattern of their labels, with ``*`` for any text.
+    relative : mapping of str to float
+        By column: the relative tolerance that takes the place of the column's own.
+    reason : str
+        Why they move.
     """
 
-    columns: Mapping[str, Tolerance]
-    cells: Mapping[tuple[str, str, str], float] = field(default_factory=dict)
+    table: str
+    rows: str
+    relative: Mapping[str, float]
+    reason: str
 
     def __post_init__(self) -> None:
-        for table, row, column in self.cells:
-            self.of(table, row, column)
+        if not self.relative or not self.relative.keys() <= set(MEASURED):
+            raise ValueError(f"{self.table}, {self.rows}: relative tolerances of {', '.join(self.relative)}")
+        for relative in self.relative.values():
+            Tolerance(0.0, relative, self.rows, self.reason)
+
+    def holds(self, table: str, row: str) -> bool:
+        """Tell whether a row is one of these."""
+        return table == self.table and fnmatchcase(row, self.rows)
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """The tolerance of each measured column, and the ill-conditioned rows."""
+
+    columns: Mapping[str, Tolerance]
+    rows: Sequence[IllConditioned] = ()
 
     def of(self, table: str, row: str, column: str) -> Tolerance:
         """Return the tolerance of one cell."""
-        general = self.columns[column]
-        return replace(general, relative=self.cells.get((table, row, column), general.relative))
+        own = [some.relative[column] for some in self.rows if column in some.relative and some.holds(table, row)]
+        return replace(self.columns[column], relative=max(own)) if own else self.columns[column]
 
 
 def load_tolerances() -> Tolerances:
@@ -96,7 +125,7 @@ def load_tolerances() -> Tolerances:
     Returns
     -------
     Tolerances
-        One for each measured column, and those of single cells.
+        One for each measured column, and those of ill-conditioned rows.
 
     Raises
     ------
@@ -107,11 +136,7 @@ def load_tolerances() -> Tolerances:
     try:
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
         columns = {column: Tolerance(**raw[column]) for column in MEASURED}
-        cells = {
-            (str(cell["table"]), str(cell["row"]), str(cell["column"])): cell["relative"]
-            for cell in raw.get("cell", [])
-        }
-        return Tolerances(columns, cells)
+        return Tolerances(columns, tuple(IllConditioned(**rows) for rows in raw.get("rows", [])))
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as exc:
         raise InputError(f"{path}: {_FORM.format(', '.join(MEASURED))}: {exc}") from exc
 
@@ -146,19 +171,20 @@ def load_spreads() -> dict[str, pd.DataFrame]:
     return found
 
 
-def derive(spreads: Mapping[str, pd.DataFrame], reasons: Mapping[str, str]) -> Tolerances:
+def derive(spreads: Mapping[str, pd.DataFrame], typed: Tolerances) -> Tolerances:
     """Return the tolerances that follow from the spreads.
 
-    The spread of a cell is its largest under any circumstance. A column's relative tolerance is `MARGIN` times
-    the spread that a share of `COVERED` of all its cells does not exceed, rounded up (`rounded_up`); a
-    cell whose own spread asks for more has its own, by the same rule.
+    The spread of a cell is its largest under any circumstance, and `MARGIN` times that, rounded up (`rounded_up`),
+    the tolerance that it needs. Rows whose labels differ in the last value only (the points of a curve, the
+    methods of a sequence) are judged together: if one needs more than `WIDEST`, all are ill-conditioned in that
+    column and get the tolerance that covers them. A column's tolerance covers all other cells.
 
     Parameters
     ----------
     spreads : mapping of str to pandas.DataFrame
         See `load_spreads`.
-    reasons : mapping of str to str
-        By column.
+    typed : Tolerances
+        The reasons; rows without one get `NO_REASON`.
 
     Returns
     -------
@@ -170,31 +196,34 @@ def derive(spreads: Mapping[str, pd.DataFrame], reasons: Mapping[str, str]) -> T
     ValueError
         A spread is not finite: there is a cell that nothing can be compared with.
     """
-    import numpy as np
-
-    columns, cells = {}, {}
+    groups: dict[tuple[str, str], dict[str, list[float]]] = {}
+    for name, table in spreads.items():
+        for record in table.to_dict("records"):
+            row, column = str(record.pop("row")), str(record.pop("column"))
+            head = row.rpartition(", ")[0]
+            group = groups.setdefault((name, f"{head}, *" if head else row), {})
+            group.setdefault(column, []).append(max(record.values()))
+    reasons = {(some.table, some.rows): some.reason for some in typed.rows}
+    columns, wide = {}, {key: dict[str, float]() for key in groups}
     for column in MEASURED:
-        largest = {
-            (name, str(record["row"])): max(value for key, value in record.items() if key not in ("row", "column"))
-            for name, table in spreads.items()
-            for record in table[table["column"] == column].to_dict("records")
-        }
-        usual = float(np.quantile([*largest.values()], COVERED, method="inverted_cdf"))
-        general = rounded_up(MARGIN * usual)
-        wide = {cell: rounded_up(MARGIN * spread) for cell, spread in largest.items()}
-        own = {(*cell, column): relative for cell, relative in wide.items() if relative > general}
+        needed = {key: rounded_up(MARGIN * max(group[column])) for key, group in groups.items()}
+        for key, relative in needed.items():
+            if relative > WIDEST[column]:
+                wide[key][column] = relative
+        usual = [value for key, group in groups.items() if column not in wide[key] for value in group[column]]
+        n_wide = sum(len(group[column]) for group in groups.values()) - len(usual)
+        largest = max(usual, default=0.0)
         basis = (
-            f"{MARGIN:g} times {usual:.1e}, the relative spread that {COVERED:.0%} of {len(largest)} cells "
-            f"({', '.join(spreads)}) do not exceed, rounded up to 1, 2 or 5 in its decade; "
-            f"{len(own)} cells have their own"
+            f"{MARGIN:g} times {largest:.1e}, the largest relative spread of {len(usual)} cells "
+            f"({', '.join(spreads)}), rounded up to one digit; {n_wide} cells are in ill-conditioned rows"
         )
-        columns[column] = Tolerance(ABSOLUTE, general, basis, reasons[column])
-        cells.update(own)
-    return Tolerances(columns, cells)
+        columns[column] = Tolerance(ABSOLUTE, rounded_up(MARGIN * largest), basis, typed.columns[column].reason)
+    rows = [IllConditioned(*key, own, reasons.get(key, NO_REASON)) for key, own in wide.items() if own]
+    return Tolerances(columns, tuple(rows))
 
 
 def rounded_up(value: float) -> float:
-    """Return the next of 1, 2 and 5 times a power of ten, and 1e-5 at least.
+    """Return a number rounded up to one digit, and 1e-5 at least.
 
     Raises
     ------
@@ -203,9 +232,9 @@ def rounded_up(value: float) -> float:
     """
     if not (math.isfinite(value) and value >= 0):
         raise ValueError(f"a spread must be finite and at least 0, got {value}")
-    value = max(value, _SMALLEST)
+    value = float(f"{max(value, _SMALLEST):.6g}")  # 3 times 0.0002 is more than 0.0006
     exponent = math.floor(math.log10(value))
-    steps = (float(f"{digit}e{exponent + more}") for more in (-1, 0, 1) for digit in (1, 2, 5))
+    steps = (float(f"{digit}e{exponent + more}") for more in (-1, 0, 1) for digit in range(1, 10))
     return next(step for step in steps if step >= value)
 
 
@@ -247,12 +276,12 @@ def write(spreads: Mapping[str, pd.DataFrame], origin: Mapping[str, Any]) -> lis
     from fracbench.data.files import atomic_path
 
     path = asset("results/reference/tolerances.toml")
-    reasons = {column: tolerance.reason for column, tolerance in load_tolerances().columns.items()}
+    typed = load_tolerances()
     old = load_spreads()
     kept = old.keys() - outdated(old, origin["solver_version"])
     spreads = {name: _completed(new, old[name]) if name in kept else new for name, new in spreads.items()}
     try:
-        tolerances = derive(dict(sorted({**old, **spreads}.items())), reasons)
+        tolerances = derive(dict(sorted({**old, **spreads}.items())), typed)
     except ValueError as exc:
         raise InputError(f"{path}: no tolerance follows from what was measured: {exc}") from exc
     folder = path.parent / "spread"
@@ -280,12 +309,16 @@ def _completed(new: pd.DataFrame, old: pd.DataFrame) -> pd.DataFrame:
 def to_toml(tolerances: Tolerances) -> str:
     """Return the text of ``tolerances.toml``."""
     blocks = [_block(f"[{column}]", vars(tolerance)) for column, tolerance in tolerances.columns.items()]
-    for (table, row, column), relative in tolerances.cells.items():
-        cell = {"table": table, "row": row, "column": column, "relative": relative}
-        blocks.append(_block("[[cell]]", cell))
+    blocks += [_block("[[rows]]", vars(some)) for some in tolerances.rows]
     return "\n".join([_HEAD, *blocks])
 
 
 def _block(title: str, values: Mapping[str, Any]) -> str:
-    # TOML writes texts and finite numbers as JSON does.
-    return "\n".join([title, *(f"{key} = {json.dumps(value)}" for key, value in values.items()), ""])
+    return "\n".join([title, *(f"{key} = {_value(value)}" for key, value in values.items()), ""])
+
+
+def _value(value: Any) -> str:
+    """Write a value as TOML does: texts and finite numbers as in JSON."""
+    if isinstance(value, Mapping):
+        return f"{{ {', '.join(f'{key} = {_value(own)}' for key, own in value.items())} }}"
+    return json.dumps(value)

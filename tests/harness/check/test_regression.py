@@ -10,7 +10,7 @@ import pytest
 from fracbench.errors import InputError
 from fracbench.harness.check import regression
 from fracbench.harness.check.regression import COUNTED, check, compare, update
-from fracbench.harness.check.tolerances import MEASURED, Tolerance, Tolerances
+from fracbench.harness.check.tolerances import MEASURED, IllConditioned, Tolerance, Tolerances
 from fracbench.harness.run.plan import make_plan
 from fracbench.model import SOLVER_VERSION
 
@@ -304,9 +304,9 @@ def test_a_table_of_which_only_the_record_is_left_does_not_hold(reference, made_
     assert str(said) == "all rows: table: stored missing, found present (allowed: the same tables)"
 
 
-def test_a_cell_may_have_a_tolerance_of_its_own():
-    cells = {("t", "venus, tvl1", "aae"): 0.1}
-    tolerances = Tolerances(TOLERANCES.columns, cells)
+def test_ill_conditioned_rows_have_a_tolerance_of_their_own():
+    rows = IllConditioned("t", "venus, *", {"aae": 0.1}, "two basins")
+    tolerances = Tolerances(TOLERANCES.columns, (rows,))
     assert compare("t", table(), table(aae=["0.1", "0.21"]), tolerances).differences == []
     for name, moved in (("t", ["0.105", "0.2"]), ("u", ["0.1", "0.21"]), ("t", ["0.1", "0.23"])):
         assert len(compare(name, table(), table(aae=moved), tolerances).differences) == 1
