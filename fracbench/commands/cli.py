@@ -61,9 +61,6 @@ def _dispatch(argv: list[str]) -> int:
 
 def console_entry() -> NoReturn:
     """Run the command line and leave with its exit code: the console script."""
-    from fracbench.harness.run.provenance import return_what_is_freed
-
-    return_what_is_freed()
     sys.exit(main())
 
 

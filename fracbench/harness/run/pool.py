@@ -228,10 +228,9 @@ def _compute(job: Job, store: Path, marks: str, parent: int) -> Row:
 
 
 def _prepare(parent: int) -> None:
-    """Let this process end with its parent, leave Ctrl-C to it, and give freed memory back."""
+    """Let this process end with its parent and leave Ctrl-C to it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(parent,), name="parent", daemon=True).start()
-    provenance.return_what_is_freed()
 
 
 def _end_with(parent: int) -> None:

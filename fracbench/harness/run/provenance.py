@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import ctypes
 import importlib.metadata
 import os
 import platform
 import subprocess
-from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -89,15 +87,7 @@ def _cpu() -> str:
     return platform.processor() or platform.machine()
 
 
-_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3  # of glibc's mallopt
-
-
-_LARGE = 2**22
-
-
 _CLEAR = Path("/proc/self/clear_refs")
-
-
 _STATUS = Path("/proc/self/status")
 
 
@@ -130,15 +120,3 @@ def peak_mib() -> float | None:
         return None
     peak = float(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
     return peak / 1024.0**2 if sys.platform == "darwin" else peak / 1024.0
-
-
-def return_what_is_freed() -> None:
-    """Let this process give large arrays back to the system as they are freed (glibc; nothing elsewhere).
-
-    Else glibc keeps what coarser scales have freed, in pieces too small for the next, which adds a tenth to the
-    peak of a flow. The room of smaller ones it keeps: a page that is given back and taken again costs more than
-    what is computed on it.
-    """
-    with suppress(OSError, AttributeError, TypeError):  # another C library, another system
-        for threshold in (_M_MMAP_THRESHOLD, _M_TRIM_THRESHOLD):
-            ctypes.CDLL(None).mallopt(threshold, _LARGE)
