@@ -6,8 +6,8 @@ import json
 
 import pandas as pd
 import pytest
+from refusals import refusal
 
-from fracbench.errors import InputError
 from fracbench.harness.check import regression
 from fracbench.harness.check.regression import COUNTED, check, compare, update
 from fracbench.harness.check.tolerances import MEASURED, IllConditioned, Tolerance, Tolerances
@@ -66,14 +66,6 @@ def recheck(name="mini"):
 
 def files(folder) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
-
-
-def refusal(call) -> str:
-    with pytest.raises(InputError) as caught:
-        call()
-    message = str(caught.value)
-    assert len(message.splitlines()) == 1
-    return message
 
 
 @pytest.fixture

@@ -6,8 +6,8 @@ import json
 
 import pandas as pd
 import pytest
+from refusals import refusal
 
-from fracbench.errors import InputError
 from fracbench.harness.check import tolerances
 from fracbench.harness.check.tolerances import (
     MEASURED,
@@ -32,14 +32,6 @@ TOML = "\n".join(
 ROWS = '[[rows]]\ntable = "t"\nrows = "grove2, *"\nrelative = { aepe = 0.05 }\nreason = "two basins"\n'
 ORIGIN = {"solver_version": 7, "cpu": "Abacus"}
 TYPED = Tolerances({column: Tolerance(1e-6, 1e-3, "measured", "rounding") for column in MEASURED})
-
-
-def refusal(call) -> str:
-    with pytest.raises(InputError) as caught:
-        call()
-    message = str(caught.value)
-    assert len(message.splitlines()) == 1
-    return message
 
 
 def spreads(values, column="aepe", under="float64") -> pd.DataFrame:
