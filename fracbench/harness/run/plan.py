@@ -97,7 +97,7 @@ def make_plan(tokens: Sequence[str], *, allow_download: bool = True, small: bool
     configs = [_configure(values) for values in grid.points()]
     for method in {config.method.name: config.method for config in configs}.values():
         method.require()
-    wanting = next((config for config in configs if config.sequence.dataset != "synthetic"), None)
+    wanting = next((config for config in configs if config.sequence.dataset == "middlebury"), None)
     resolved = _resolve_data(wanting or configs[0], allow_download)
     points = [_planned(config, resolved.dataset, resolved.folder) for config in configs]
     notices = [resolved.notice] if resolved.notice else []
@@ -219,14 +219,14 @@ def _chosen(choices: tuple[tuple[str, str], ...]) -> RunConfig:
 def _resolve_data(config: RunConfig, allow_download: bool) -> Any:
     from fracbench.data.datasets import middlebury
 
-    dataset = "synthetic" if config.sequence.dataset == "synthetic" else config.dataset
+    dataset = config.dataset if config.sequence.dataset == "middlebury" else "synthetic"
     return middlebury.resolve(dataset, config.data, allow_download)
 
 
 def _planned(config: RunConfig, dataset: str, folder: Path | None) -> PlannedPoint:
     name, region = config.sequence.name, config.region
-    if config.sequence.dataset == "synthetic":
-        dataset = "synthetic"
+    if config.sequence.dataset != "middlebury":
+        dataset = config.sequence.dataset
     elif dataset == "synthetic":
         if config.sequence.stand_in is None:
             raise InputError(f"sequence {config.sequence.key!r} has no synthetic stand-in")
@@ -246,7 +246,7 @@ def _planned(config: RunConfig, dataset: str, folder: Path | None) -> PlannedPoi
     )
     labels = {
         "dataset": dataset,
-        "sequence": config.sequence.key if dataset == "middlebury" else f"synthetic_{name}",
+        "sequence": f"synthetic_{name}" if dataset == "synthetic" else config.sequence.key,
         "region": config.region.name if config.region else "",
         "method": config.method.name,
         "protocol": config.protocol,
