@@ -54,24 +54,23 @@ def test_a_small_paper_is_thinned_and_overwrites_nothing(paper, cli):
 
 def test_points_that_fail_are_told_and_the_rest_goes_on(paper, cli, monkeypatch):
     class Failing:
-        def __init__(self):
-            self.jobs = []
+        """A pool whose points all fail."""
 
-        def free(self):
-            return not self.jobs
+        retry_alone = False
 
-        def start(self, job):
-            self.jobs.append(job)
+        def __init__(self, store):
+            self.store = store
 
-        def wait(self, seconds):
-            outcome = Outcome("failed", "made up", {}, None, None, {})
-            ended, self.jobs = [(job.key, job.row(outcome)) for job in self.jobs], []
-            return ended
+        def compute(self, jobs):
+            for job in jobs:
+                row = job.row(Outcome("failed", "made up", {}, None, None, {}))
+                self.store.put(row)
+                yield job.key, self.store.get(job.key)
 
         def close(self):
             pass
 
-    monkeypatch.setattr(sweep, "_crew", lambda *_: Failing())
+    monkeypatch.setattr(sweep, "_pool", lambda plan, jobs, store: Failing(store))
     done = cli("report", "dataset=synthetic")
     assert done.code == 3
     assert "two: 3 points, wrote" in done.out and "wrote results/page.html" in done.out
