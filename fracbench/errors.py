@@ -5,6 +5,9 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+#: What a message says of a run that ended early.
+RESUME = "finished points are stored; the same command resumes"
+
 
 class FracbenchError(Exception):
     """Base class; the command line prints its message without a traceback."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from fracbench import __version__
 from fracbench.commands import console
 from fracbench.commands.parser import Parser
-from fracbench.errors import FracbenchError, InputError
+from fracbench.errors import RESUME, FracbenchError, InputError
 
 if TYPE_CHECKING:
     from fracbench.harness.config.experiment import Experiment
@@ -42,7 +42,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         console.complain(" ".join(str(exc).splitlines()))  # a file's name may hold a line break
         return EXIT_INPUT
     except KeyboardInterrupt:
-        console.complain("interrupted; what was finished is stored, and the same command goes on from there")
+        console.complain(f"interrupted; {RESUME}")
         return EXIT_INTERRUPTED
     except BrokenPipeError:
         # Whoever read our output has gone, e.g. `| head`: not an error, but nothing more can be printed.

@@ -12,20 +12,12 @@ from fracbench.harness.config.experiment import Experiment, list_experiments, lo
 from fracbench.harness.config.paths import checkout
 from fracbench.harness.run.plan import Plan, plan_experiment
 from fracbench.harness.run.store import RUNS, Row, Store
-from fracbench.report.claims.judging import CONTEXT
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from fracbench.report.claims.claims import Judged
 
-#: A description of each protocol, in a line.
-PROTOCOLS = {
-    "reference": "the paper's model, computed correctly and to convergence",
-    "published": "the run nearest to the printed Table 2: coarse flow halved on upsampling, few iterations",
-    "as_printed": "Algorithms 1 and 2 to the letter: the flow to linearise about is never renewed",
-    CONTEXT: "the model with reflecting boundary and 48 pixels of image around each region: not the paper's",
-}
 #: Endings of file names, by data set and size; see `fracbench.studies.base.file_stem`.
 SUFFIXES = ("", "_synthetic", "_small", "_synthetic_small")
 #: Copies of the tables and figures of the whole paper on Middlebury, renewed by `make publish`.

@@ -20,6 +20,7 @@ from fracbench import api, estimate_flow
 from fracbench.commands.cli import EXIT_CHECK, EXIT_DONE, EXIT_FAILED, EXIT_INPUT
 from fracbench.data.datasets import middlebury as middlebury_data
 from fracbench.data.files import read_flow, read_image
+from fracbench.errors import RESUME
 from fracbench.evaluation.metrics import flow_errors
 from fracbench.harness.check.tolerances import MEASURED
 from fracbench.harness.config.paths import asset
@@ -272,9 +273,7 @@ def test_ctrl_c_is_one_line_and_keeps_what_was_finished(cli, work, tiny, monkeyp
     monkeypatch.setattr(sweep, "_pool", lambda plan, jobs, store: Interrupted(1, store))
     done = cli("sweep", NAMES_ONLY, *tiny)
     assert done.code == 130
-    assert done.err.splitlines()[-1] == (
-        "fracbench: interrupted; what was finished is stored, and the same command goes on from there"
-    )
+    assert done.err.splitlines()[-1] == (f"fracbench: interrupted; {RESUME}")
     assert "Traceback" not in done.err
     with Store(work / "results" / STORE, readonly=True) as store:
         assert len(store.rows("done")) in (1, 2)  # the other may have been finished meanwhile

@@ -21,7 +21,7 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 from fracbench.data.datasets.registry import get_dataset
-from fracbench.errors import FracbenchError, InputError
+from fracbench.errors import RESUME, FracbenchError, InputError
 from fracbench.harness.run import provenance
 from fracbench.harness.run.message import Job
 from fracbench.harness.run.pool import Ended
@@ -110,10 +110,7 @@ class DaskPool:
                 raise OSError("the connection is lost")
             self._present = list(self._client.nthreads())
         except (OSError, RuntimeError, ValueError) as exc:
-            raise FracbenchError(
-                f"the scheduler at {self._address} does not answer any more; what was finished is stored, and the "
-                "same command goes on from there"
-            ) from exc
+            raise FracbenchError(f"the scheduler at {self._address} does not answer any more; {RESUME}") from exc
         if not self._present and not self._next_look:
             _log.warning("%s has no workers yet; waiting for them", self._address)
         self._next_look = time.monotonic() + _POLL_SECONDS

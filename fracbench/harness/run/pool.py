@@ -167,7 +167,7 @@ def _results(results: Iterator[T], kept: str) -> Iterator[T]:
         yield from results
     except BrokenProcessPool as exc:
         raise FracbenchError(
-            f"a worker process died (out of memory, or a crash); {kept}, and the same command goes on from there"
+            f"a worker process died (out of memory, or a crash); {kept}, and the same command resumes"
         ) from exc
 
 

@@ -14,14 +14,15 @@ from fracbench.figures.cache import draw
 from fracbench.harness.config.paths import asset
 from fracbench.report.claims.judging import (
     CONTEXT,
-    REGIONS,
+    SETTINGS,
     VERDICTS,
     Tables,
     UnjudgeableError,
+    captioned_regions,
     near_best,
     region_curve,
 )
-from fracbench.report.sources import PROTOCOLS, Sources
+from fracbench.report.sources import Sources
 from fracbench.studies import tables
 from fracbench.studies.base import FLAT
 from fracbench.studies.solvers.solver_study import printed_alphas
@@ -74,7 +75,7 @@ def answer_table(sources: Sources) -> pd.DataFrame:
 
     found = Tables(sources.load)
     records: list[tuple[Any, ...]] = []
-    for region in REGIONS:
+    for region in captioned_regions():
         said = printed_alphas()[region]["aepe"]
         records.append(("alpha", region, _PAPER, said, said, said))
         for setting in ("reference", "published", CONTEXT):
@@ -173,7 +174,7 @@ def answer_text(sources: Sources) -> str:
     lines = [f"| computed as | claims judged | {' | '.join(words)} |", _rule(2 + len(words))]
     for name, count in counts.items():
         numbers = " | ".join(str(number) for number in (count.total(), *(count[word] for word in words)))
-        lines.append(f"| `{name}`: {PROTOCOLS.get(name, '')} | {numbers} |")
+        lines.append(f"| `{name}`: {SETTINGS.get(name, '')} | {numbers} |")
     shown = [item for name in HEADLINES for item in judged if item.claim.id == name]
     lines += ["", f"| among them | {' | '.join(f'`{name}`' for name in settings)} |", _rule(1 + len(settings))]
     for item in shown:

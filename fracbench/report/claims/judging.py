@@ -10,30 +10,34 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fracbench.harness.config.experiment import load_experiment
 from fracbench.studies.base import FLAT
+from fracbench.studies.paper.alpha_regions import CAPTIONED, captions
 
 if TYPE_CHECKING:
     import pandas as pd
 
 HOLDS, IN_PART, FAILS, UNKNOWN = "holds", "holds in part", "does not hold", "cannot be judged"
 VERDICTS = (HOLDS, IN_PART, FAILS, UNKNOWN)
-PROTOCOLS = ("reference", "published", "as_printed")
+#: The protocols of the paper, with a description in a line.
+PROTOCOLS = {
+    "reference": "the paper's model, computed correctly and to convergence",
+    "published": "the run nearest to the printed Table 2: coarse flow halved on upsampling, few iterations",
+    "as_printed": "Algorithms 1 and 2 to the letter: the flow to linearise about is never renewed",
+}
 #: The reference under ``boundary=reflect`` and with pixels around the region: no pull to 0 at its edges.
 CONTEXT = "reference, reflect + context"
-ERRORS = ("aae", "aepe")
-#: Figure and caption's lambda_SB of each region.
-REGIONS: Mapping[str, tuple[str, float]] = {
-    "grove2_A": ("fig6", 5.0),
-    "grove2_B": ("fig6", 7.0),
-    "urban3_A": ("fig6", 1.0),
-    "hydrangea_A": ("fig7", 3.0),
-    "hydrangea_B": ("fig7", 10.0),
-    "rubberwhale_A": ("fig7", 2.0),
+#: The settings under which claims are judged: the protocols and `CONTEXT`.
+SETTINGS = {
+    **PROTOCOLS,
+    CONTEXT: "the model with reflecting boundary and 48 pixels of image around each region: not the paper's",
 }
+ERRORS = ("aae", "aepe")
 SIGNIFICANT = 0.05  # an error this much smaller counts as significantly smaller
 MORE_SWEEPS = 0.25  # this many more inner iterations still count as nearly the fewest
 CLOSE = 1.5  # within this factor of 2/theta counts as close to it
@@ -44,6 +48,16 @@ Judgement = tuple[str, str]
 
 Rule = Callable[..., Judgement]
 """``rule(tables, setting, **args)``."""
+
+
+@lru_cache(maxsize=1)
+def captioned_regions() -> Mapping[str, tuple[str, float]]:
+    """Return the figure and the caption's lambda_SB of each region, in the order of the paper."""
+    return {
+        region: (figure, caption["lambda_sb"])
+        for figure in CAPTIONED
+        for region, caption in captions(load_experiment(figure)).items()
+    }
 
 
 class UnjudgeableError(Exception):
@@ -159,7 +173,7 @@ def curves(table: pd.DataFrame, family: str, x: str, least: int = 3) -> Iterator
 
 def region_curve(tables: Tables, setting: str, region: str) -> pd.DataFrame:
     """Return the errors of a region against alpha at the caption's lambda_SB, sorted by alpha from 0 to 2."""
-    figure, lambda_sb = REGIONS[region]
+    figure, lambda_sb = captioned_regions()[region]
     where: dict[str, Any] = {"part": "main", "protocol": setting, "lambda_sb": lambda_sb}
     if setting == CONTEXT:
         where = {"part": "context"}

@@ -16,11 +16,11 @@ from fracbench.report.claims.judging import (
     IN_PART,
     NEAR,
     PROTOCOLS,
-    REGIONS,
     SIGNIFICANT,
     Judgement,
     Tables,
     UnjudgeableError,
+    captioned_regions,
     combine,
     grade,
     minimum,
@@ -81,7 +81,7 @@ def _over_boxes(tables: Tables, regions: Sequence[str], metrics: Sequence[str], 
     verdicts: dict[str, list[str]] = {}
     try:
         for region in regions:
-            band = tables.points(REGIONS[region][0], region=region, part="band")
+            band = tables.points(captioned_regions()[region][0], region=region, part="band")
             for shift, box in band.groupby("shift"):
                 curve = box.sort_values("alpha")
                 cases = [_alpha_verdict(curve, metric, low, high) for metric in metrics]
@@ -99,7 +99,7 @@ def _over_boxes(tables: Tables, regions: Sequence[str], metrics: Sequence[str], 
 @rule(*PROTOCOLS)
 def best_lambda_sb(tables: Tables, setting: str, *, region: str) -> Judgement:
     """Judge whether the caption's lambda_SB gives a region's smallest errors, each value at its best alpha."""
-    value = REGIONS[region][1]
+    value = captioned_regions()[region][1]
     curve = _lambda_sb_curve(tables, setting, region)
     if value not in curve["lambda_sb"].to_numpy():
         raise UnjudgeableError(f"lambda_SB {value:g} was not among the values tried on {region}")
@@ -119,7 +119,7 @@ def best_lambda_sb(tables: Tables, setting: str, *, region: str) -> Judgement:
 def near_two_over_theta(tables: Tables, setting: str) -> Judgement:
     """Judge whether the best lambda_SB of each region is close to 2/theta."""
     verdicts, sentences, printed = [], [], 0
-    for region, (_, caption) in REGIONS.items():
+    for region, (_, caption) in captioned_regions().items():
         curve = _lambda_sb_curve(tables, setting, region)
         target = 2.0 / float(curve["theta"].iloc[0])
         places = []
@@ -135,7 +135,7 @@ def near_two_over_theta(tables: Tables, setting: str) -> Judgement:
 
 def _lambda_sb_curve(tables: Tables, setting: str, region: str) -> pd.DataFrame:
     """Return for each lambda_SB the smallest errors over alpha; all must have been tried at the same alphas."""
-    figure = REGIONS[region][0] if setting == "reference" else "regions_lambda_sb"
+    figure = captioned_regions()[region][0] if setting == "reference" else "regions_lambda_sb"
     table = tables.points(figure, region=region, part="main", protocol=setting)
     counts = table.pivot_table("aae", "lambda_sb", "alpha", aggfunc="size")
     whole = len(counts) >= 3 and counts.columns.min() <= 0.0 and counts.columns.max() >= 2.0
@@ -211,7 +211,7 @@ def no_common_alpha(tables: Tables, setting: str) -> Judgement:
     verdicts, sentences = [], []
     for metric in ERRORS:
         excess, best = {}, {}
-        for region in REGIONS:
+        for region in captioned_regions():
             errors = region_curve(tables, setting, region).set_index("alpha")[metric]
             excess[region], best[region] = errors / errors.min(), float(errors.idxmin())
         table = pd.DataFrame(excess)

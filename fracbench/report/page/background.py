@@ -12,10 +12,11 @@ from fracbench.harness.config.paths import asset
 from fracbench.harness.run.point import canonical_value
 from fracbench.harness.run.store import Row
 from fracbench.model.params import FlowParams
+from fracbench.report.claims.judging import PROTOCOLS
 from fracbench.report.page.elements import Block, Cell, Column, Details, Section, Table, Text, demoted
 from fracbench.report.sources import Source, Sources
 
-_PROTOCOLS = ("reference", "published", "as_printed", "recommended")
+_PROTOCOLS = (*PROTOCOLS, "recommended")
 
 
 def errata() -> Section:

@@ -7,6 +7,7 @@ from pathlib import Path
 from fracbench.errors import InputError
 from fracbench.harness.config.experiment import list_experiments
 from fracbench.harness.config.paths import asset
+from fracbench.report.claims.judging import SETTINGS
 from fracbench.report.page.elements import (
     Block,
     Details,
@@ -19,7 +20,7 @@ from fracbench.report.page.elements import (
     embedded_file,
 )
 from fracbench.report.page.gallery import gallery, missing_flows, scenes, shared_scale
-from fracbench.report.sources import COMMITTED, PROTOCOLS, SUFFIXES, Source, Sources, homes
+from fracbench.report.sources import COMMITTED, SUFFIXES, Source, Sources, homes
 
 
 def document(path: str, summary: str) -> list[Block]:
@@ -119,7 +120,7 @@ def figure_files(results: Path, source: Source) -> dict[str, Path]:
                 found[variant.removeprefix("_")] = path
         if found:
             break
-    order = ["", *PROTOCOLS, *found]
+    order = ["", *SETTINGS, *found]
     return dict(sorted(found.items(), key=lambda item: order.index(item[0])))
 
 
@@ -144,7 +145,7 @@ _ALT = {
 def _figure(source: Source, path: Path, variant: str, results: Path) -> Picture:
     uri, size = embedded_file(path)
     experiment = source.experiment
-    said = f"Protocol `{variant}`: {PROTOCOLS[variant]}." if variant in PROTOCOLS else _VARIANTS.get(variant, "")
+    said = f"Protocol `{variant}`: {SETTINGS[variant]}." if variant in SETTINGS else _VARIANTS.get(variant, "")
     shows = _ALT.get(experiment.artefact, "drawn from the stored results").format_map(
         {"x": experiment.options.get("x", ""), "family": experiment.options.get("family", "")}
     )

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 from fracbench.harness.config.paths import asset
 from fracbench.harness.run.tidy import METRICS
 from fracbench.methods.registry import get_method
-from fracbench.report.claims.judging import FAILS, HOLDS, IN_PART, UNKNOWN
+from fracbench.report.claims.judging import FAILS, HOLDS, IN_PART, SETTINGS, UNKNOWN
 from fracbench.report.page.elements import Block, Cell, Column, Heading, Section, Table, Tallies, Tally, Text
 from fracbench.report.page.exhibits import document, figures_of, state
 from fracbench.report.page.gallery import sequence_name
-from fracbench.report.sources import PROTOCOLS, Sources
+from fracbench.report.sources import Sources
 from fracbench.studies.paper.table2 import versus_published
 from fracbench.studies.protocols import switch_sentences, switch_table
 from fracbench.studies.solvers.solver_study import SOLVERS, printed_alphas, solver_sentences, solver_summary
@@ -53,7 +53,7 @@ def verdicts(judged: Sequence[Judged], pictures: Sequence[Block] = ()) -> Sectio
     cards = [
         Tally(
             name,
-            PROTOCOLS.get(name, ""),
+            SETTINGS.get(name, ""),
             [(word, tone, counts[name][word]) for word, tone in VERDICTS.items()],
         )
         for name in protocols
@@ -113,7 +113,7 @@ def table2(sources: Sources) -> Section:
         blocks.append(Text(_TINTS))
         for name in names:
             blocks.append(Heading(f"Protocol {name}", f"table2-{name}"))
-            blocks.append(Text(f"{_sentence(PROTOCOLS.get(name, name))}"))
+            blocks.append(Text(f"{_sentence(SETTINGS.get(name, name))}"))
             blocks.append(_wide(both[both["protocol"] == name], name))
     return Section("table2", "Table 2", "Table 2 beside the paper", blocks)
 

@@ -7,8 +7,8 @@
 ``protocols`` the other protocols
 ============= ==========================================================================================
 
-All but ``main`` may be left out. ``options.paper`` holds the captions' values: for each region the best
-``lambda_sb`` and, under ``aae`` and ``aepe``, the best alpha.
+All but ``main`` may be left out. ``options.paper`` holds the captions' best alpha of each region under
+``aae`` and ``aepe``; the caption's ``lambda_sb`` is that of ``conf/region``.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from fracbench.data.files import ensure_folder
 from fracbench.errors import InputError
 from fracbench.figures.panels import Curve, Panel, panel_grid
 from fracbench.figures.style import BEHIND, METRICS, PALETTE, equation, symbol
+from fracbench.harness.config.compose import load_config
 from fracbench.harness.config.experiment import MAIN, Experiment
 from fracbench.harness.run.plan import Plan
 from fracbench.harness.run.store import Row
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
 
 X = "alpha"
 SB = "lambda_sb"
+#: The experiments of the figures whose captions name best values.
+CAPTIONED = ("fig6", "fig7")
 BAND, CONTEXT, PROTOCOLS = "band", "context", "protocols"
 _HEADINGS = {
     "": "the region alone, boundary zero",
@@ -56,7 +59,7 @@ def alpha_regions(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], r
     table = tidy(plan, rows).reindex(columns=_COLUMNS)
     if MAIN not in set(table["part"]):
         raise InputError(f"experiment {experiment.name}: artefact {experiment.artefact} needs the grid {MAIN!r}")
-    story = _Regions(table, _captions(experiment))
+    story = _Regions(table, captions(experiment))
     folder = ensure_folder(results / "figures")
     artefact = Artefact(views=story.views())
     for kind in story.kinds():
@@ -96,14 +99,35 @@ def regions_figure(
     return panel_grid(story.regions, compose, x=X, title=f"{title}\n{_HEADINGS[kind]}", note=note)
 
 
-def _captions(experiment: Experiment) -> dict[str, dict[str, float]]:
-    """Return the captions' values for each region, checked."""
-    keys = (SB, *METRICS)
+def captions(experiment: Experiment) -> dict[str, dict[str, float]]:
+    """Return what the captions say of each region of an experiment.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        Its option ``paper`` has the best alpha by error. The best lambda_sb is that of ``conf/region``.
+
+    Returns
+    -------
+    dict of str to dict
+        ``lambda_sb``, ``aae`` and ``aepe`` by region.
+
+    Raises
+    ------
+    InputError
+        The option has another form, or names an unknown region.
+    """
     try:
         given = dict(experiment.options.get("paper", {}))
-        return {region: {key: float(said[key]) for key in keys} for region, said in given.items()}
+        alphas = {region: {metric: float(said[metric]) for metric in METRICS} for region, said in given.items()}
+        return {
+            region: {SB: load_config({"region": region}).params.lambda_sb, **best}
+            for region, best in alphas.items()
+        }
     except (TypeError, ValueError, KeyError) as exc:
-        wanted = "a mapping of regions to " + "{ " + ", ".join(f"{key}: NUMBER" for key in keys) + " }"
+        if isinstance(exc, InputError):
+            raise
+        wanted = "a mapping of regions to " + "{ " + ", ".join(f"{key}: NUMBER" for key in METRICS) + " }"
         raise InputError(f"experiment {experiment.name}: the option 'paper' must be {wanted}") from exc
 
 

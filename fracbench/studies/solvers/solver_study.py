@@ -17,6 +17,7 @@ from fracbench.harness.run.tidy import tidy
 from fracbench.studies import tables
 from fracbench.studies.base import Artefact, file_stem
 from fracbench.studies.options import all_options
+from fracbench.studies.paper.alpha_regions import CAPTIONED, captions
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -134,8 +135,8 @@ def spectra_table(pairs: pd.DataFrame, *, size: int, alpha_step: float, tol: flo
 
 
 def printed_alphas() -> dict[str, dict[str, float]]:
-    """Return the captions' best alpha by region and error, as the experiments of Figures 6 and 7 hold them."""
-    figures = (load_experiment(name).options["paper"] for name in ("fig6", "fig7"))
+    """Return the best alpha and lambda_sb of the captions of Figures 6 and 7, by region."""
+    figures = (captions(load_experiment(name)) for name in CAPTIONED)
     return {region: values for figure in figures for region, values in figure.items()}
 
 

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import pytest
 
+from fracbench.errors import RESUME
 from fracbench.harness.run import sweep as execute
 from fracbench.harness.run.store import STORE, Row, Store
 
@@ -161,7 +162,7 @@ def test_ctrl_c_stops_the_workers_too_and_says_how_to_go_on(tmp_path, undisturbe
     took = time.monotonic() - before
     assert process.returncode == 130
     last = said.splitlines()[-1]
-    assert last == "fracbench: interrupted; what was finished is stored, and the same command goes on from there"
+    assert last == f"fracbench: interrupted; {RESUME}"
     assert "Traceback" not in said
     print(f"stopped after {took:.2f} s")
     for pid in pids:

@@ -10,7 +10,7 @@ from fracbench.errors import InputError
 from fracbench.report.claims import answer
 from fracbench.report.claims.answer import HEADLINES, answer_figure, answer_table, answer_text, renew, write_answer
 from fracbench.report.claims.claims import load_claims
-from fracbench.report.claims.judging import CONTEXT, REGIONS
+from fracbench.report.claims.judging import CONTEXT, captioned_regions
 from fracbench.report.sources import Sources
 
 FIRST, LAST = answer._MARKS
@@ -29,7 +29,7 @@ def sources(tmp_path, monkeypatch):
     for figure in ("fig6", "fig7"):
         made[figure] = pd.concat(
             curve(best).assign(region=region, part=part, protocol=protocol, lambda_sb=weight)
-            for region, (home, weight) in REGIONS.items()
+            for region, (home, weight) in captioned_regions().items()
             for part, (protocol, best) in parts.items()
             if home == figure
         ).assign(dataset="middlebury", status="done")
@@ -58,7 +58,7 @@ def test_the_picture_shows_them(sources):
     marks = {line.get_label(): line.get_xdata() for line in left.lines if not line.get_label().startswith("_")}
     assert list(marks) == ["paper", "reference", "published", CONTEXT]
     np.testing.assert_allclose(marks["reference"], 1.1)
-    assert [label.get_text() for label in left.get_yticklabels()] == list(REGIONS)
+    assert [label.get_text() for label in left.get_yticklabels()] == list(captioned_regions())
     assert right.get_xscale() == "log" and len(right.get_yticks()) == 8
 
 

@@ -27,13 +27,15 @@ from fracbench.report.claims.judging import (
     HOLDS,
     IN_PART,
     PROTOCOLS,
-    REGIONS,
     RULES,
     VERDICTS,
     Tables,
+    captioned_regions,
     combine,
     percent,
 )
+
+REGIONS = captioned_regions()
 
 SEQUENCES = ["grove2", "rubberwhale", "grove3", "hydrangea", "urban2", "dimetrodon", "urban3", "venus"]
 LAMBDAS = (0.03, 0.1, 1.0)
@@ -109,7 +111,7 @@ def regions(figure, error=EDGE, best_mu=None, band=None, alphas=ALPHAS):
                     {**common, "part": "main", "protocol": "reference", "lambda_sb": float(m), "alpha": alpha,
                      "aae": e, "aepe": 2 * e}
                 )  # fmt: skip
-            for part, protocol in (("context", "reference"), *(("protocols", p) for p in PROTOCOLS[1:])):
+            for part, protocol in (("context", "reference"), *(("protocols", p) for p in [*PROTOCOLS][1:])):
                 e = of_alpha(alpha)
                 rows.append(
                     {**common, "part": part, "protocol": protocol, "lambda_sb": mu, "alpha": alpha, "aae": e,
@@ -127,7 +129,7 @@ def regions(figure, error=EDGE, best_mu=None, band=None, alphas=ALPHAS):
 def coarse(best_mu=None):
     rows = []
     for (region, (_, mu)), protocol, m, alpha in product(
-        REGIONS.items(), PROTOCOLS[1:], range(1, 11), (0.0, 1.0, 2.0)
+        REGIONS.items(), [*PROTOCOLS][1:], range(1, 11), (0.0, 1.0, 2.0)
     ):
         best = mu if best_mu is None else best_mu[region]
         e = parabola(1.0)(alpha) * (1.0 + 0.05 * abs(m - best))
