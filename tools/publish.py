@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 
 from fracbench.commands.paper import PAPER
+from fracbench.data.files import atomic_path
 from fracbench.errors import InputError
 from fracbench.harness.config.paths import checkout
 from fracbench.report.claims import answer
@@ -78,6 +79,12 @@ def problems(results: Path, committed: Path, sources: Sources) -> list[str]:
     return found
 
 
+def copy(source: Path, target: Path) -> None:
+    """Copy a file; it takes the place of the target whole or not at all."""
+    with atomic_path(target) as temporary:
+        shutil.copyfile(source, temporary)
+
+
 def publish(results: Path, committed: Path) -> int:
     """Copy the computed tables and figures over the committed ones; return how many files differ now."""
     changed = 0
@@ -85,7 +92,7 @@ def publish(results: Path, committed: Path) -> int:
         source, target = results / path, committed / path
         if not target.is_file() or source.read_bytes() != target.read_bytes():
             target.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(source, target)
+            copy(source, target)
             changed += 1
     return changed
 
@@ -111,7 +118,7 @@ def main() -> int:
     drawn = {picture: draw(picture) for picture in PICTURES}  # first: a command that fails leaves the copies alone
     changed = publish(results, committed)
     for picture, path in drawn.items():
-        shutil.copyfile(path, committed / "figures" / picture)
+        copy(path, committed / "figures" / picture)
     answer.renew(root / "README.md", sources)
     print(f"renewed {changed} files and {len(PICTURES)} pictures in {COMMITTED}, and the answer in README.md")
     return 0

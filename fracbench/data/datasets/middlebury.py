@@ -88,7 +88,7 @@ class FileState:
 
     @property
     def message(self) -> str:
-        """What is wrong with the file, in one line."""
+        """The defect of the file, in one line."""
         if self.state == "missing":
             return f"{self.path} is missing; {_WAYS}"
         if self.state == "corrupt":

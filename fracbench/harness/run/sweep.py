@@ -125,14 +125,14 @@ def run(
     on_start: Callable[[Report, int], None] | None = None,
     on_row: OnRow | None = None,
 ) -> Report:
-    """Compute what is missing and store each row as soon as it is there.
+    """Compute the points that the store lacks; each row is stored as soon as its point is done.
 
     Parameters
     ----------
     plan : Plan
         What is wanted; its configuration says where it runs and how long a point may take.
     store : Store
-        Written by this process alone, one transaction a point.
+        Workers on this machine write to it as well, one transaction a point.
     jobs : int
         Worker processes on this machine.
     rerun_failed : bool, optional
@@ -150,7 +150,7 @@ def run(
     Raises
     ------
     FracbenchError
-        The store or its spool cannot be written, or workers do not come up.
+        The store or the folder of its claims cannot be written, or workers do not come up.
     """
     report, todo = missing(plan, store, rerun_failed=rerun_failed)
     if on_start is not None:
