@@ -18,22 +18,8 @@ def error_sums(
 ) -> tuple[int, int, int, float, float, float]:
     """Count the pixels of a mask and sum their errors.
 
-    Parameters
-    ----------
-    flow, truth : ndarray, shape (2, H, W)
-        The estimate and the true flow, which is unknown where a component is NaN or above `unknown_above`.
-    wanted : ndarray of bool, shape (H, W)
-        The mask.
-    unknown_above : float
-        See `truth`.
-
-    Returns
-    -------
-    n_pixels, n_unknown, n_nonfinite : int
-        See `FlowErrors`.
-    angles, squares, distances : float
-        Sums over the scored pixels: of the angular errors, of their squared deviations from their mean, and
-        of the end-point errors.
+    Returns the counts of `FlowErrors`, and three sums over the scored pixels: of the angular errors, of their
+    squared deviations from their mean, and of the end-point errors.
     """
     cross, dot, lengths = np.empty((3, *wanted.shape))
     _compare(flow, truth, cross, dot, lengths)

@@ -12,24 +12,14 @@ from fracbench.model.structure import CLASSES
 
 
 def errors_by_class(flow: Any, truth: Any, classes: Any) -> dict[str, FlowErrors]:
-    """Score a flow within each class of pixels.
+    """Return the errors of a flow by class of pixels, for the classes with pixels of known true flow.
 
     Parameters
     ----------
     flow, truth : array_like, (2, H, W)
         The estimate and the true flow, pixels; see `fracbench.evaluation.metrics.flow_errors`.
     classes : array_like of integers, (H, W)
-        From `structure_classes`.
-
-    Returns
-    -------
-    dict of str to FlowErrors
-        By name, for the classes that hold pixels of known true flow.
-
-    Raises
-    ------
-    InputError
-        If shapes differ.
+        From `fracbench.model.structure.structure_classes`.
     """
     known = np.isfinite(endpoint_error(np.zeros_like(truth), truth))
     if np.shape(classes) != known.shape:

@@ -26,18 +26,14 @@ Map = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class FlowErrors:
-    """Errors over the scored pixels; see `CONVENTIONS`.
+    """Errors over the scored pixels: those inside the mask whose true flow is known; see `CONVENTIONS`.
 
     Attributes
     ----------
-    aae, sdae : float
-        Mean and population standard deviation of the angular error, radians.
-    aepe : float
-        Mean end-point error, pixels.
-    n_pixels : int
-        Pixels scored: inside the mask, true flow known.
-    n_unknown : int
-        Pixels inside the mask whose true flow is unknown.
+    aae, sdae, aepe : float
+        Mean and standard deviation of the angular error, radians, and mean end-point error, pixels.
+    n_pixels, n_unknown : int
+        Pixels scored, and pixels inside the mask whose true flow is unknown.
     n_nonfinite : int
         Scored pixels whose estimate is not finite. If there is one, the three errors are NaN.
     """
@@ -60,10 +56,8 @@ def flow_errors(flow: Any, truth: Any, mask: Any = None) -> FlowErrors:
 
     Parameters
     ----------
-    flow : array_like, (2, H, W)
-        The estimate, pixels.
-    truth : array_like, (2, H, W)
-        The true flow; unknown where a component is NaN or larger than 1e9 in absolute value.
+    flow, truth : array_like, (2, H, W)
+        The estimate and the true flow, pixels; unknown where a component of the true one is NaN or above 1e9.
     mask : array_like of bool, (H, W), optional
         True where pixels are to be scored; everywhere if not given.
 
@@ -105,11 +99,6 @@ def angular_error(flow: Any, truth: Any) -> Map:
     -------
     ndarray of float64, (H, W)
         NaN where the true flow is unknown, infinite where the estimate is not finite.
-
-    Raises
-    ------
-    InputError
-        If shapes differ.
     """
     return _error_map(_angles, flow, truth)
 
@@ -128,16 +117,6 @@ def robustness(epe: Any, threshold: float) -> float:
         End-point errors; NaN is left out (unknown true flow), infinity counts (no finite estimate).
     threshold : float
         Pixels, e.g. 1.0 for R1.0.
-
-    Returns
-    -------
-    float
-        0..100.
-
-    Raises
-    ------
-    InputError
-        If no error is left, or `threshold` is not a number of at least 0.
     """
     if not threshold >= 0:
         raise InputError(f"`threshold` must be at least 0 pixels, got {threshold}")
@@ -150,19 +129,9 @@ def accuracy(epe: Any, percentile: float) -> float:
     Parameters
     ----------
     epe : array_like
-        End-point errors; NaN is left out (unknown true flow).
+        End-point errors, none interpolated; NaN is left out (unknown true flow).
     percentile : float
         0..100, e.g. 95 for A95.
-
-    Returns
-    -------
-    float
-        One of the errors, pixels; nothing is interpolated.
-
-    Raises
-    ------
-    InputError
-        If no error is left, or `percentile` is outside 0..100.
     """
     if not 0 <= percentile <= 100:
         raise InputError(f"`percentile` must be within 0..100, got {percentile}")
@@ -188,10 +157,6 @@ def _checked_mask(mask: Any, shape: tuple[int, ...]) -> NDArray[np.bool_]:
     return wanted
 
 
-def _known(truth: Map) -> NDArray[np.bool_]:
-    return np.asarray((np.abs(truth) <= _UNKNOWN_ABOVE).all(axis=0))
-
-
 def _known_errors(epe: Any) -> Map:
     errors = np.asarray(epe, dtype=np.float64)
     errors = errors[~np.isnan(errors)]
@@ -202,7 +167,7 @@ def _known_errors(epe: Any) -> Map:
 
 def _error_map(measure: Any, flow: Any, truth: Any) -> Map:
     flow, truth = (np.asarray(array, np.float64) for array in _checked(flow, truth))
-    known = _known(truth)
+    known = (np.abs(truth) <= _UNKNOWN_ABOVE).all(axis=0)
     finite = np.isfinite(flow[0]) & np.isfinite(flow[1])
     error = np.full(known.shape, np.nan)
     error[known] = np.inf

@@ -32,11 +32,6 @@ def mean_interval(samples: Any, level: float = LEVEL) -> tuple[Table, Table, Tab
     -------
     mean, low, high : ndarray, (...)
         ``mean -+ t s / sqrt(n)`` with the quantile t of n - 1 degrees of freedom; the ends are NaN for n = 1.
-
-    Raises
-    ------
-    InputError
-        There is no repetition.
     """
     from scipy.special import stdtrit
 
@@ -49,58 +44,26 @@ def mean_interval(samples: Any, level: float = LEVEL) -> tuple[Table, Table, Tab
     return mean, mean - half, mean + half
 
 
-def minimum_interval(samples: Any, level: float = LEVEL, seed: int = 0) -> tuple[int, int, int]:
-    """Return where the mean curve is smallest, and the bootstrap interval of that place.
+def minimum_interval(samples: Any) -> tuple[int, int, int]:
+    """Return the index of the smallest mean of curves (n, m), and the bootstrap interval of that index.
 
-    Parameters
-    ----------
-    samples : array_like, (n, m)
-        A curve of m values for each of n repetitions.
-    level : float, optional
-        Of confidence, between 0 and 1.
-    seed : int, optional
-        Of the `N_RESAMPLES` resamples.
-
-    Returns
-    -------
-    place, low, high : int
-        Indices of the m values; the ends are quantiles of the place over resampled repetitions.
-
-    Raises
-    ------
-    InputError
-        There is no repetition.
+    The ends are quantiles of the index over `N_RESAMPLES` resamples of the n repetitions.
     """
     values = _checked(samples)
     n = len(values)
-    counts = np.random.default_rng(seed).multinomial(n, np.full(n, 1.0 / n), size=N_RESAMPLES)
+    counts = np.random.default_rng(0).multinomial(n, np.full(n, 1.0 / n), size=N_RESAMPLES)
     places = (counts @ values).argmin(axis=1)
-    low, high = np.quantile(places, [0.5 * (1.0 - level), 0.5 * (1.0 + level)], method="inverted_cdf")
+    low, high = np.quantile(places, [0.5 * (1.0 - LEVEL), 0.5 * (1.0 + LEVEL)], method="inverted_cdf")
     return int(values.mean(axis=0).argmin()), int(low), int(high)
 
 
 def held_out(samples: Any) -> Table:
-    """Return each repetition's value at the place that is best for the mean of the other half of them.
+    """Return each repetition's value (of curves (n, m)) where the mean of the other half of them is smallest.
 
     The smallest of many means is biased downwards by its selection; these values are not. The halves are every
     other repetition. Leave-one-out would keep a bias, because each repetition takes part in the choices for the
     others. Student's interval of these values still excludes 0 too often on its better side, in 6 of 100 cases
-    instead of 2.5.
-
-    Parameters
-    ----------
-    samples : array_like, (n, m)
-        A curve of m values for each of n repetitions.
-
-    Returns
-    -------
-    ndarray, (n,)
-        All NaN for n = 1.
-
-    Raises
-    ------
-    InputError
-        There is no repetition.
+    instead of 2.5. A single repetition has no other half: NaN.
     """
     values = _checked(samples)
     if len(values) == 1:
@@ -118,15 +81,7 @@ def _checked(samples: Any) -> Table:
 
 @dataclass(frozen=True)
 class Choice:
-    """The settings that `leave_one_out` chose.
-
-    Attributes
-    ----------
-    left_out : tuple of int
-        For each sequence the setting that has the least mean error on all the others.
-    all_in : int
-        The setting with the least mean error on all sequences.
-    """
+    """The setting with the least mean error on all other sequences, for each sequence; and that on all."""
 
     left_out: tuple[int, ...]
     all_in: int
@@ -144,13 +99,8 @@ def leave_one_out(errors: Any) -> Choice | None:
     Returns
     -------
     Choice or None
-        Row numbers; of equally good settings the first. A single sequence leaves no other to choose by: the
-        first setting that is known is taken. None if no setting is known on all sequences.
-
-    Raises
-    ------
-    InputError
-        `errors` is not a table, or an empty one.
+        Row numbers; of equally good settings the first, as for a single sequence. None if no setting is known on
+        all sequences.
     """
     table = np.asarray(errors, np.float64)
     if table.ndim != 2 or table.size == 0:
