@@ -17,24 +17,10 @@ _MAX_MEMBER_BYTES = 64 * 2**20
 
 
 def fetch_members(url: str, members: Mapping[str, tuple[Path, str]], timeout: float = 5.0) -> None:
-    """Download a zip archive and put some of its members in place.
+    """Download a zip archive and put some of its members in place: the file and the SHA-256 are given for each.
 
-    Parameters
-    ----------
-    url : str
-        The archive.
-    members : mapping of str to (Path, str)
-        For each member wanted, the file it becomes and its SHA-256. Nothing is written unless all of them are
-        there and right; each file appears by a rename.
-    timeout : float, optional
-        Seconds the server has to give its first answer, and the longest pause it may make. It is asked once.
-
-    Raises
-    ------
-    DataError
-        If the server does not answer, or the archive is not what was expected.
-    InputError
-        If a file cannot be written.
+    Nothing is written unless all of them are there and right; each file appears by a rename. `timeout` is the
+    seconds the server has to give its first answer, and the longest pause it may make. It is asked once.
     """
     with tempfile.TemporaryDirectory(prefix="fracbench-") as folder:
         archive = _download(url, Path(folder), timeout)

@@ -16,15 +16,12 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fracbench.errors import InputError, unknown_name
-
-if TYPE_CHECKING:
-    pass
 
 FLO_TAG = b"PIEH"  # the float32 202021.25, little endian
 FLO_UNKNOWN = 1666666752.0
@@ -44,23 +41,9 @@ Pathish = str | os.PathLike[str]
 
 @contextmanager
 def atomic_path(path: Pathish) -> Iterator[Path]:
-    """Yield a temporary path beside `path` that takes its place once the block has ended well.
+    """Yield a new path beside `path`, with its suffix, that takes its place once the block has ended well.
 
-    Parameters
-    ----------
-    path : str or path
-        The file to appear. Its folder must exist.
-
-    Yields
-    ------
-    Path
-        A path that does not exist yet, in the same folder and with the same suffix. The block must create it.
-        If the block raises, the temporary file is removed and `path` is left as it was.
-
-    Raises
-    ------
-    InputError
-        If the folder is missing or cannot be written to; the message names it.
+    If the block raises, the temporary file is removed and `path` is left as it was. The folder must exist.
     """
     path = Path(path)
     folder = path.parent
@@ -95,22 +78,9 @@ def _reason(exc: BaseException) -> str:
 
 
 def read_image(path: Pathish) -> NDArray[Any]:
-    """Read a picture: PNG, JPEG, PPM/PGM, BMP, TIFF, GIF or WebP.
+    """Read a picture (PNG, JPEG, PPM/PGM, BMP, TIFF, GIF or WebP) as uint8 or uint16, (H, W) or (H, W, 3).
 
-    Parameters
-    ----------
-    path : str or path
-        The file. Palettes are resolved and alpha is dropped; 16-bit *colour* is read with 8 bits.
-
-    Returns
-    -------
-    ndarray of uint8 or uint16, (H, W) or (H, W, 3)
-        Gray or RGB.
-
-    Raises
-    ------
-    InputError
-        If the file is missing, is no picture, is cut off, or promises an absurd number of pixels.
+    Palettes are resolved and alpha is dropped; 16-bit *colour* is read with 8 bits.
     """
     return decode_image(read_bytes(path), str(path))
 
@@ -153,20 +123,7 @@ def _pixels(image: Any) -> NDArray[Any]:
 
 
 def write_image(path: Pathish, image: NDArray[np.uint8]) -> None:
-    """Write a picture atomically, in the format of the suffix.
-
-    Parameters
-    ----------
-    path : str or path
-        The file to write, e.g. ``flow.png``.
-    image : ndarray of uint8, (H, W) or (H, W, 3)
-        Gray or RGB.
-
-    Raises
-    ------
-    InputError
-        For another dtype or shape, an unknown suffix, or a folder that cannot be written to.
-    """
+    """Write a picture, uint8 of shape (H, W) or (H, W, 3), atomically, in the format of the suffix."""
     from PIL import Image
 
     image = np.asarray(image)
@@ -192,13 +149,9 @@ def read_flow(path: Pathish) -> NDArray[np.float32]:
     -------
     ndarray of float32, (2, H, W)
         Pixels, x to the right then y down; NaN in both components where unknown.
-
-    Raises
-    ------
-    InputError
-        If the suffix is another, or the file is missing or damaged.
     """
-    return read_flo(path) if _flow_suffix(path) == ".flo" else read_kitti_png(path)
+    decode = decode_flo if _flow_suffix(path) == ".flo" else decode_kitti_png
+    return decode(read_bytes(path), str(path))
 
 
 def write_flow(path: Pathish, flow: NDArray[Any]) -> None:
@@ -210,11 +163,6 @@ def write_flow(path: Pathish, flow: NDArray[Any]) -> None:
         The file; its suffix decides the format.
     flow : ndarray, (2, H, W)
         Pixels; a pixel with NaN in a component is written as unknown.
-
-    Raises
-    ------
-    InputError
-        If the suffix or the shape is another, or the format cannot hold a value.
     """
     (write_flo if _flow_suffix(path) == ".flo" else write_kitti_png)(path, flow)
 
@@ -226,19 +174,8 @@ def _flow_suffix(path: Pathish) -> str:
     return suffix
 
 
-def read_flo(path: Pathish) -> NDArray[np.float32]:
-    """Read a Middlebury ``.flo`` file; see `read_flow`."""
-    return decode_flo(read_bytes(path), str(path))
-
-
 def decode_flo(data: bytes, where: str) -> NDArray[np.float32]:
-    """Decode the bytes of a ``.flo`` file; `where` is what messages call it.
-
-    Raises
-    ------
-    InputError
-        If the bytes are not exactly one whole ``.flo`` file.
-    """
+    """Decode the bytes of a ``.flo`` file; `where` is what messages call it."""
     if not data:
         raise InputError(f"{where}: the file is empty")
     if len(data) < 12 or data[:4] != FLO_TAG:
@@ -279,20 +216,16 @@ def write_flo(path: Pathish, flow: NDArray[Any]) -> None:
         temporary.write_bytes(FLO_TAG + struct.pack("<ii", width, height) + pairs.tobytes())
 
 
-def read_kitti_png(path: Pathish) -> NDArray[np.float32]:
-    """Read a KITTI flow: 16-bit RGB png, ``u = (R - 2^15) / 64``, ``v = (G - 2^15) / 64``, known where B > 0.
-
-    See `read_flow`.
-    """
+def decode_kitti_png(data: bytes, where: str) -> NDArray[np.float32]:
+    """Decode a KITTI flow: 16-bit RGB png, ``u = (R - 2^15) / 64``, ``v = (G - 2^15) / 64``, known where B > 0."""
     import png
 
-    data = read_bytes(path)
-    height, width = _check_kitti_header(data, str(path))
+    height, width = _check_kitti_header(data, where)
     try:
         _, _, rows, _ = png.Reader(bytes=data).read()
         values = np.array([np.asarray(row, dtype=np.uint16) for row in rows]).reshape(height, width, 3)
     except Exception as exc:  # pypng lets zlib, struct and index errors through on damaged files
-        raise InputError(f"{path}: damaged PNG ({_reason(exc)})") from exc
+        raise InputError(f"{where}: damaged PNG ({_reason(exc)})") from exc
     flow = np.moveaxis((values[..., :2].astype(np.float64) - _KITTI_ZERO) / _KITTI_STEP, 2, 0)
     return mark_unknown(np.where(values[..., 2] > 0, flow, np.nan))
 
@@ -312,13 +245,7 @@ def _check_kitti_header(data: bytes, where: str) -> tuple[int, int]:
 
 
 def write_kitti_png(path: Pathish, flow: NDArray[Any]) -> None:
-    """Write a KITTI flow, rounded to 1/64 pixel; see `read_kitti_png` and `write_flow`.
-
-    Raises
-    ------
-    InputError
-        Also if a component is outside -512 .. 511.984, which the format cannot hold.
-    """
+    """Write a KITTI flow, rounded to 1/64 pixel and within -512 .. 511.984; see `decode_kitti_png`."""
     import png
 
     array, unknown = _flow_to_write(path, flow)
@@ -358,23 +285,7 @@ def _require_range(
 
 
 def ensure_folder(folder: Path) -> Path:
-    """Create a folder of results.
-
-    Parameters
-    ----------
-    folder : Path
-        The folder; its parents are created too.
-
-    Returns
-    -------
-    Path
-        The same.
-
-    Raises
-    ------
-    InputError
-        It cannot be created or written.
-    """
+    """Create a folder of results, and its parents, unless it is there; return it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as exc:
@@ -387,25 +298,7 @@ def ensure_folder(folder: Path) -> Path:
 
 
 def write_text(text: str, path: Path) -> Path:
-    """Write a text file atomically.
-
-    Parameters
-    ----------
-    text : str
-        Content.
-    path : Path
-        The file; its folder must exist.
-
-    Returns
-    -------
-    Path
-        The file.
-
-    Raises
-    ------
-    InputError
-        The folder cannot be written.
-    """
+    """Write a text file atomically and return its path; the folder must exist."""
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return path

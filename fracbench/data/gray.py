@@ -28,11 +28,6 @@ def to_gray(image: Any, name: str = "frame") -> NDArray[np.floating[Any]]:
     -------
     ndarray of float32 or float64, (H, W)
         A new, C-contiguous array; float32 for integers of up to 16 bits, which it holds exactly.
-
-    Raises
-    ------
-    InputError
-        For another shape, a dtype that is not real, or NaN or infinite pixels.
     """
     planes = _planes(_real_array(image, name), name)
     _require_finite(planes, name)

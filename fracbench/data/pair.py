@@ -17,10 +17,8 @@ class FramePair:
 
     Attributes
     ----------
-    name : str
-        E.g. ``"Grove2"`` or ``"edge"``.
-    dataset : str
-        Name of the dataset it belongs to.
+    name, dataset : str
+        E.g. ``"Grove2"`` of ``"middlebury"``.
     frame0, frame1 : ndarray of float64, (H, W)
         Gray levels on the scale 0..255; read-only.
     truth : ndarray of float32, (2, H, W), or None
@@ -29,11 +27,6 @@ class FramePair:
         SHA-256, in hexadecimal, of what the data are made from: equal digests mean equal data.
     frame0_color : ndarray of uint8, (H, W, 3), or None
         The first frame in colour, for pictures; read-only.
-
-    Raises
-    ------
-    InputError
-        If the shapes do not belong together.
     """
 
     name: str

@@ -11,12 +11,7 @@ from numpy.typing import NDArray
 from fracbench.data.pair import FramePair
 from fracbench.errors import InputError
 
-Crop = tuple[
-    NDArray[np.float64],
-    NDArray[np.float64],
-    NDArray[np.float32] | None,
-    tuple[slice, slice],
-]
+Crop = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float32] | None, tuple[slice, slice]]
 
 
 @dataclass(frozen=True)
@@ -25,17 +20,10 @@ class Region:
 
     Attributes
     ----------
-    name : str
-        E.g. ``"grove2_A"``.
-    sequence : str
-        The sequence it belongs to.
+    name, sequence : str
+        E.g. ``"grove2_A"``, and the sequence it belongs to.
     rows, cols : (int, int)
         Of at least 2 pixels each.
-
-    Raises
-    ------
-    InputError
-        If the bounds are no integers, negative, or less than 2 pixels apart.
     """
 
     name: str
@@ -69,16 +57,7 @@ class Region:
 
 
 def crop(sequence: FramePair, region: Region, context: int = 0) -> Crop:
-    """Cut a region out of a sequence.
-
-    Parameters
-    ----------
-    sequence : FramePair
-        The sequence the region belongs to.
-    region : Region
-        The box.
-    context : int, optional
-        Pixels to add on each side, as far as the picture goes.
+    """Cut a region out of its sequence, with `context` more pixels on each side, as far as the picture goes.
 
     Returns
     -------
@@ -88,11 +67,6 @@ def crop(sequence: FramePair, region: Region, context: int = 0) -> Crop:
         The true flow there.
     inner : (slice, slice)
         The rows and columns of the region itself within these arrays.
-
-    Raises
-    ------
-    InputError
-        If the region is of another sequence or leaves the picture, or `context` is negative.
     """
     if region.sequence.casefold() != sequence.name.casefold():
         raise InputError(f"region {region.name!r} belongs to {region.sequence!r}, not to {sequence.name!r}")
@@ -114,27 +88,9 @@ def crop(sequence: FramePair, region: Region, context: int = 0) -> Crop:
 def shifted(region: Region, shape: tuple[int, int], step: int = 8, n: int = 5) -> list[Region]:
     """Return the region and its neighbours on a lattice, to see how much a result owes to the box.
 
-    Parameters
-    ----------
-    region : Region
-        The box in the middle.
-    shape : (int, int)
-        Height and width of the picture.
-    step : int, optional
-        Pixels between neighbours.
-    n : int, optional
-        Boxes in each direction, odd so that the region itself is one of them.
-
-    Returns
-    -------
-    list of Region
-        ``n * n`` boxes of the same size, row by row, named after their nominal shift. One that would leave
-        the picture is moved back inside; near a border, boxes can therefore coincide.
-
-    Raises
-    ------
-    InputError
-        If the region leaves the picture, `step` is not positive, or `n` is not odd and positive.
+    The ``n * n`` boxes, `step` pixels apart, come row by row, named after their nominal shift; `n` is odd, so that
+    the region itself is one of them. A box that would leave the picture of (height, width) `shape` is moved back
+    inside; near a border, boxes can therefore coincide.
     """
     if step < 1 or n < 1 or n % 2 == 0:
         raise InputError(f"`step` must be positive and `n` odd and positive, got {step} and {n}")

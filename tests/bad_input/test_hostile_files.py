@@ -42,7 +42,7 @@ def png(width: int, height: int, depth: int, colour: int, data: bytes) -> bytes:
 
 def decode_kitti(data: bytes, path) -> np.ndarray:
     path.write_bytes(data)
-    return files.read_kitti_png(path)
+    return files.read_flow(path)
 
 
 def is_flow(flow: np.ndarray) -> bool:

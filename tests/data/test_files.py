@@ -294,7 +294,7 @@ class TestKitti:
     def test_other_values_are_rounded_to_the_nearest_64th(self, tmp_path):
         flow = RNG.uniform(-500, 500, (2, 5, 6))
         files.write_kitti_png(tmp_path / "a.png", flow)
-        assert np.abs(files.read_kitti_png(tmp_path / "a.png") - flow).max() <= 0.5 / 64 + 1e-4
+        assert np.abs(files.read_flow(tmp_path / "a.png") - flow).max() <= 0.5 / 64 + 1e-4
 
     @pytest.mark.parametrize(
         ("data", "message"),
@@ -324,7 +324,7 @@ class TestKitti:
             sound[data.draw(st.integers(0, len(sound) - 1))] = data.draw(st.integers(0, 255))
         (tmp_path / "a.png").write_bytes(bytes(sound[: data.draw(st.integers(1, len(sound)))]))
         try:
-            flow = files.read_kitti_png(tmp_path / "a.png")
+            flow = files.read_flow(tmp_path / "a.png")
         except InputError as exc:
             assert "\n" not in str(exc)
         else:

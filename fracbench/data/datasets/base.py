@@ -5,26 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from fracbench.data.pair import FramePair
-
-
-class Load(Protocol):
-    """Load or render a pair by its exact name."""
-
-    def __call__(self, name: str, folder: Path | None, *, noise: float, seed: int) -> FramePair:
-        """Return the pair; see `fracbench.data.datasets.registry.load_sequence`."""
-        ...
-
-
-class Digest(Protocol):
-    """Tell which data a pair is made from, without decoding them."""
-
-    def __call__(self, name: str, folder: Path | None, *, noise: float, seed: int) -> str:
-        """Return SHA-256, in hexadecimal, of what the pair is made from."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -41,7 +25,8 @@ class Dataset:
         ``load(name, folder, noise=..., seed=...)`` returns a `FramePair`. `folder` is where the files are, None
         for a dataset without files; `noise` and `seed` are for rendered scenes.
     digest : callable
-        With the same arguments; equal digests mean equal data. It is part of the key of every stored result.
+        SHA-256, in hexadecimal, of what the pair is made from, without decoding it, with the same arguments. It is
+        part of the key of every stored result.
     contents : callable or None
         ``contents(name, folder)`` returns the files that `load` reads, by name, to be sent to a worker that has
         none; None for a dataset without files.
@@ -49,6 +34,6 @@ class Dataset:
 
     name: str
     shapes: Mapping[str, tuple[int, int]]
-    load: Load
-    digest: Digest
+    load: Callable[..., FramePair]
+    digest: Callable[..., str]
     contents: Callable[[str, Path | None], Mapping[str, bytes]] | None = None

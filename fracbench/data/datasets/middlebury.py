@@ -120,22 +120,9 @@ class Resolved:
 def find(explicit: str | Path | None = None) -> Location:
     """Find the folder that holds the sequences, without reading the files.
 
-    Parameters
-    ----------
-    explicit : str or path, optional
-        The setting ``paths.data``. It and the variable FRACBENCH_DATA, where given, must hold files: they are
-        never passed over. Then come ``data/middlebury`` and ``../shared/middlebury``, relative to the working
-        folder and to the checkout, and the user's cache; of these the first of the fullest is taken.
-
-    Returns
-    -------
-    Location
-        The folder found.
-
-    Raises
-    ------
-    DataError
-        If there is none, or the one asked for holds none of the files.
+    `explicit` is the setting ``paths.data``. It and the variable FRACBENCH_DATA, where given, must hold files:
+    they are never passed over. Then come ``data/middlebury`` and ``../shared/middlebury``, relative to the working
+    folder and to the checkout, and the user's cache; of these the first of the fullest is taken.
     """
     found = _look_up(explicit)
     if found is None:
@@ -176,11 +163,7 @@ def cache_folder() -> Path:
 
 
 def download_folder() -> Path:
-    """Return the folder that a download has to complete so that `find` leads to all the files.
-
-    That is FRACBENCH_DATA if it is set, else the folder that was found, however few files it holds, else the
-    user's cache.
-    """
+    """Return the folder that a download completes: FRACBENCH_DATA, else the one found, else the user's cache."""
     given = os.environ.get("FRACBENCH_DATA")
     if given:
         return Path(os.path.expanduser(given))  # noqa: PTH111 - never raises
@@ -195,25 +178,7 @@ def _locate(folder: Path, source: str) -> Location:
 
 
 def state(sequence: str, folder: str | Path) -> SequenceState:
-    """Compare the three files of a sequence with their SHA-256.
-
-    Parameters
-    ----------
-    sequence : str
-        One of `SEQUENCES`, without regard to case.
-    folder : str or path
-        The folder with one subfolder a sequence.
-
-    Returns
-    -------
-    SequenceState
-        ``state`` is ``"ok"``, ``"missing"``, ``"corrupt"`` or ``"unreadable"``.
-
-    Raises
-    ------
-    InputError
-        If there is no such sequence.
-    """
+    """Compare the three files of a sequence with their SHA-256."""
     sequence = match_name(sequence, SEQUENCES, "Middlebury sequence")
     files = tuple(_inspect(f"{sequence}/{file}", folder)[0] for file in _FRAMES_AND_TRUTH)
     severity: tuple[State, ...] = ("ok", "missing", "corrupt", "unreadable")
@@ -235,7 +200,7 @@ def _inspect(name: str, folder: str | Path) -> tuple[FileState, bytes]:
 
 def _verified(sequence: str, folder: str | Path) -> tuple[dict[str, bytes], str]:
     """Return the three files of a sequence, each checked against its SHA-256, and the digest of them all."""
-    content = {}
+    sequence, content = match_name(sequence, SEQUENCES, "Middlebury sequence"), {}
     for file in _FRAMES_AND_TRUTH:
         found, content[file] = _inspect(f"{sequence}/{file}", folder)
         if found.state != "ok":
@@ -245,47 +210,12 @@ def _verified(sequence: str, folder: str | Path) -> tuple[dict[str, bytes], str]
 
 
 def digest(sequence: str, folder: str | Path) -> str:
-    """Verify the files of a sequence and return its digest, without decoding anything.
-
-    Raises
-    ------
-    DataError
-        If a file is missing, corrupt or unreadable.
-    """
-    return _verified(match_name(sequence, SEQUENCES, "Middlebury sequence"), folder)[1]
-
-
-def contents(sequence: str, folder: str | Path) -> dict[str, bytes]:
-    """Return the files of a sequence that `load` reads, by name, each verified.
-
-    Raises
-    ------
-    DataError
-        If a file is missing, corrupt or unreadable.
-    """
-    return _verified(match_name(sequence, SEQUENCES, "Middlebury sequence"), folder)[0]
+    """Verify the files of a sequence and return its digest, without decoding anything."""
+    return _verified(sequence, folder)[1]
 
 
 def load(sequence: str, folder: str | Path) -> FramePair:
-    """Load frames 10 and 11 and the true flow of a sequence; each file is verified as it is read.
-
-    Parameters
-    ----------
-    sequence : str
-        One of `SEQUENCES`, without regard to case.
-    folder : str or path
-        The folder with one subfolder a sequence, e.g. ``find().folder``.
-
-    Returns
-    -------
-    FramePair
-        Gray frames, true flow and the first frame in colour.
-
-    Raises
-    ------
-    DataError
-        If a file is missing, corrupt (both hashes are given) or unreadable.
-    """
+    """Load frames 10 and 11 and the true flow of a sequence; each file is verified as it is read."""
     from fracbench.data.files import decode_flo, decode_image
     from fracbench.data.gray import to_gray
     from fracbench.data.pair import FramePair
@@ -307,19 +237,7 @@ def load(sequence: str, folder: str | Path) -> FramePair:
 def download(folder: str | Path, base_url: str = BASE_URL, timeout: float = 5.0) -> None:
     """Download what is missing or damaged in `folder` from Middlebury's own archives.
 
-    Parameters
-    ----------
-    folder : str or path
-        Where the files go, e.g. ``cache_folder()``; made if need be. Files that are ok are left alone.
-    base_url : str, optional
-        Where the two archives are.
-    timeout : float, optional
-        Seconds the server has to give its first answer; it is asked once.
-
-    Raises
-    ------
-    DataError
-        If the server does not answer, or what it sends is not what is registered.
+    `timeout` is the seconds the server has to give its first answer; it is asked once.
     """
     for archive, (inside, suffix) in _ARCHIVES.items():
         members = {
@@ -337,26 +255,10 @@ def download(folder: str | Path, base_url: str = BASE_URL, timeout: float = 5.0)
 
 
 def resolve(dataset: str, explicit: str | Path | None = None, allow_download: bool = True) -> Resolved:
-    """Decide which data set a run uses.
+    """Decide which data set a run uses; `explicit` is the setting ``paths.data``.
 
-    Parameters
-    ----------
-    dataset : {"auto", "middlebury", "synthetic"}
-        ``"auto"`` takes Middlebury where it is found or can be downloaded, else the synthetic scenes.
-    explicit : str or path, optional
-        The setting ``paths.data``; see `find`.
-    allow_download : bool, optional
-        Whether Middlebury may be downloaded into the user's cache if it is not found.
-
-    Returns
-    -------
-    Resolved
-        With a notice if the synthetic scenes stand in for Middlebury.
-
-    Raises
-    ------
-    DataError
-        If ``"middlebury"`` cannot be had, or a folder that was asked for does not hold it.
+    ``"auto"`` takes Middlebury where it is found or can be downloaded into the user's cache, else the synthetic
+    scenes, with a notice.
     """
     dataset = match_name(dataset, ("auto", "middlebury", "synthetic"), "dataset")
     if dataset == "synthetic":
@@ -384,5 +286,5 @@ DATASET = Dataset(
     {name: SIZES[name] for name in SEQUENCES},
     load=lambda name, folder, *, noise, seed: load(name, _folder(folder)),
     digest=lambda name, folder, *, noise, seed: digest(name, _folder(folder)),
-    contents=lambda name, folder: contents(name, _folder(folder)),
+    contents=lambda name, folder: _verified(name, _folder(folder))[0],
 )

@@ -16,24 +16,12 @@ AUTO = "auto"
 
 
 def get_dataset(name: str) -> Dataset:
-    """Return a dataset by its name, without regard to case.
-
-    Raises
-    ------
-    InputError
-        Unknown name; the nearest is offered.
-    """
+    """Return a dataset by its name, without regard to case; for an unknown one the nearest is offered."""
     return DATASETS[match_name(name, DATASETS, "dataset")]
 
 
 def list_sequences(dataset: str) -> tuple[str, ...]:
-    """Return the names of the pairs of a dataset, in the order of tables.
-
-    Raises
-    ------
-    InputError
-        Unknown dataset.
-    """
+    """Return the names of the pairs of a dataset, in the order of tables."""
     return tuple(get_dataset(dataset).shapes)
 
 
@@ -43,25 +31,7 @@ def _named(name: str, dataset: str) -> tuple[Dataset, str]:
 
 
 def shape_of(name: str, dataset: str) -> tuple[int, int]:
-    """Return height and width of a pair, without loading it.
-
-    Parameters
-    ----------
-    name : str
-        The pair, without regard to case.
-    dataset : str
-        One of `DATASETS`.
-
-    Returns
-    -------
-    (int, int)
-        Pixels.
-
-    Raises
-    ------
-    InputError
-        Unknown pair or dataset.
-    """
+    """Return height and width of a pair in pixels, without loading it."""
     found, name = _named(name, dataset)
     return found.shapes[name]
 
@@ -73,26 +43,17 @@ def load_sequence(
 
     Parameters
     ----------
-    name : str
-        The pair, without regard to case.
-    dataset : str
-        One of `DATASETS`; `fracbench.data.datasets.middlebury.resolve` turns ``"auto"`` into one of them.
+    name, dataset : str
+        The pair and one of `DATASETS`, without regard to case.
     folder : Path, optional
         Where the files are; looked up if not given.
     noise, seed : float and int, optional
         Of a rendered scene; see `fracbench.data.datasets.synthetic.scenes.scene`.
 
-    Returns
-    -------
-    FramePair
-        Verified (Middlebury) or rendered (synthetic).
-
     Raises
     ------
     InputError
-        Unknown pair or dataset.
-    DataError
-        If the files are missing, corrupt or unreadable.
+        Unknown pair or dataset; a DataError if the files are missing, corrupt or unreadable.
     """
     found, name = _named(name, dataset)
     return found.load(name, folder, noise=noise, seed=seed)

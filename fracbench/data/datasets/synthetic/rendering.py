@@ -121,17 +121,7 @@ class Layer:
 
 @dataclass(frozen=True)
 class SceneBuilder:
-    """The parameters of a scene, and the parts drawn from its random numbers.
-
-    Attributes
-    ----------
-    scene : int
-        Number of the scene; each has random numbers of its own.
-    shape : (int, int)
-        Height and width.
-    seed : int
-        Seed of the random numbers.
-    """
+    """The parameters of a scene, and the parts drawn from its random numbers; each scene has its own."""
 
     scene: int
     shape: tuple[int, int]

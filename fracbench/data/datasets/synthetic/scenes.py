@@ -66,11 +66,6 @@ def scene(name: str, *, shape: tuple[int, int] | None = None, noise: float = 0.0
     -------
     FramePair
         Frames within 0..255 (before noise); truth known everywhere: the flow of the topmost layer.
-
-    Raises
-    ------
-    InputError
-        If there is no such scene, or a parameter cannot be used.
     """
     name, shape, noise, seed = _validated(name, shape, noise, seed)
     y, x = np.mgrid[: shape[0], : shape[1]].astype(np.float64)
@@ -90,14 +85,14 @@ def scene(name: str, *, shape: tuple[int, int] | None = None, noise: float = 0.0
 
 
 def digest(name: str, *, shape: tuple[int, int] | None = None, noise: float = 0.0, seed: int = 0) -> str:
-    """Return the digest of `scene` with the same arguments, without rendering it."""
+    """Return the digest of `scene` with the same arguments."""
     name, shape, noise, seed = _validated(name, shape, noise, seed)
     what = {"scene": name, "version": GENERATOR_VERSION, "shape": shape, "noise": noise, "seed": seed}
     return hashlib.sha256(json.dumps(what, sort_keys=True).encode()).hexdigest()
 
 
 def layers(name: str, *, shape: tuple[int, int] | None = None, seed: int = 0) -> tuple[Layer, ...]:
-    """Return the layers of a scene, the farthest first; see `scene` for the parameters."""
+    """Return the layers of a scene, the farthest first."""
     name, shape, _, seed = _validated(name, shape, 0.0, seed)
     return _LAYERS[name](_builder(name, shape, seed))
 
