@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
-#: What a message says of a run that ended early.
+#: The end of a message about a run that ended early.
 RESUME = "finished points are stored; the same command resumes"
 
 
@@ -14,7 +14,7 @@ class FracbenchError(Exception):
 
 
 class InputError(FracbenchError, ValueError):
-    """Something the user gave cannot be used; the command line exits with 2."""
+    """An input of the user cannot be used; the command line exits with 2."""
 
 
 class DataError(InputError):
@@ -22,43 +22,16 @@ class DataError(InputError):
 
 
 def nearest(name: str, allowed: Iterable[str]) -> str | None:
-    """Return the allowed name most like `name`, or None if none is like it.
-
-    Parameters
-    ----------
-    name : str
-        What was given.
-    allowed : iterable of str
-        What could have been meant; compared without regard to case.
-
-    Returns
-    -------
-    str or None
-        The nearest allowed name.
-    """
+    """Return the allowed name most like `name` without regard to case, or None if none is like it."""
     by_folded = {a.casefold(): a for a in allowed}
     hits = difflib.get_close_matches(name.casefold(), by_folded, n=1, cutoff=0.5)
     return by_folded[hits[0]] if hits else None
 
 
 def unknown_name(kind: str, name: str, allowed: Iterable[str], where: str = "") -> InputError:
-    """Build the error for a name that is not among those allowed.
+    """Return the error for a `name` of some `kind` that is not allowed; `where` is e.g. a file's name.
 
-    Parameters
-    ----------
-    kind : str
-        What the name stands for, e.g. ``"region"``.
-    name : str
-        What was given.
-    allowed : iterable of str
-        The names there are.
-    where : str, optional
-        The place, e.g. a file name, put in front of the message.
-
-    Returns
-    -------
-    InputError
-        ``unknown region 'grove2_a': did you mean 'grove2_A'? (allowed: ...)``; to be raised by the caller.
+    ``unknown region 'grove2_a': did you mean 'grove2_A'? (allowed: ...)``
     """
     options = sorted(allowed)
     guess = nearest(name, options)
@@ -68,27 +41,7 @@ def unknown_name(kind: str, name: str, allowed: Iterable[str], where: str = "") 
 
 
 def match_name(name: str, allowed: Iterable[str], kind: str) -> str:
-    """Return the allowed name that `name` is, without regard to case.
-
-    Parameters
-    ----------
-    name : str
-        What was given, e.g. ``"grove2"``.
-    allowed : iterable of str
-        The names there are, e.g. ``("Grove2", ...)``.
-    kind : str
-        What the name stands for, for the message.
-
-    Returns
-    -------
-    str
-        The name in its own spelling.
-
-    Raises
-    ------
-    InputError
-        If there is no such name; the message gives the nearest one.
-    """
+    """Return the allowed name of some `kind` that `name` is, without regard to case."""
     by_folded = {a.casefold(): a for a in allowed}
     try:
         return by_folded[str(name).casefold()]

@@ -56,20 +56,10 @@ def flow_with_orders(
         Gray frames.
     params : FlowParams
         Parameters but for the order.
-    alphas : sequence of float
-        The orders, K of them.
+    alphas : sequence of K floats
+        The orders.
     weights : ndarray, shape (K, H, W)
         Weight of each order at a pixel; see `MappedGradient`. They follow the frames down the pyramid.
-
-    Returns
-    -------
-    FlowResult
-        The flow.
-
-    Raises
-    ------
-    InputError
-        Frames of different or too small size, or invalid weights.
     """
     shapes = pyramid.scale_shapes(frame0.shape, params.eta, params.n_scales)
     levels = [pyramid.build(plane, shapes, params.eta) for plane in weights]

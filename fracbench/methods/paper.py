@@ -85,29 +85,12 @@ _GRADIENTS = {"tvl1": _forward_differences, "tvl1_sb": _forward_differences, "tv
 def energy_growth(
     name: str, frame0: Array, frame1: Array, flow: Array, params: FlowParams, enough: float = 0.0
 ) -> float | None:
-    """Return the regularity of a flow relative to the energy of no flow.
+    """Return the regularity of a flow, (2, H, W), relative to the energy of no flow.
 
-    That is ``(R(u1) + R(u2)) / (lambda sum |I1 - I0|)``. The data term is bounded, so that an energy which grows
-    without bound does so in R.
-
-    Parameters
-    ----------
-    name : str
-        The method.
-    frame0, frame1 : ndarray, shape (H, W)
-        Gray frames.
-    flow : ndarray, shape (2, H, W)
-        The flow that the method computed; finite.
-    params : FlowParams
-        Parameters it used.
-    enough : float, optional
-        Below this an upper bound is returned, which takes a tenth of the time.
-
-    Returns
-    -------
-    float or None
-        None for a method that minimises another energy; infinite or NaN where the sums overflow, or for a
-        flow between equal frames.
+    That is ``(R(u1) + R(u2)) / (lambda sum |I1 - I0|)``. The data term is bounded, so that an energy that grows
+    without bound does so in R. Below `enough` an upper bound is returned, which takes a tenth of the time. The
+    result is None for a method that minimises another energy; it is infinite or NaN where the sums overflow, or
+    for a flow between equal frames.
     """
     if name not in _GRADIENTS:
         return None

@@ -67,13 +67,7 @@ class Method:
         return estimate
 
     def require(self) -> Method:
-        """Return the method itself, if all that it needs is installed.
-
-        Raises
-        ------
-        InputError
-            A module is missing; the message says how to get it.
-        """
+        """Return the method itself, if all that it needs is installed; else `InputError` says how to get it."""
         for module in self.requires:
             if importlib.util.find_spec(module) is None:
                 raise InputError(f"method {self.name!r} needs {module}: pip install 'fracbench[peers]'")
@@ -85,34 +79,13 @@ DEFAULT_METHOD = "tvl1_sb_alpha"
 
 
 def register(method: Method) -> Method:
-    """Add a method to the registry; a later one replaces an earlier one of the same name.
-
-    Parameters
-    ----------
-    method : Method
-        The method.
-
-    Returns
-    -------
-    Method
-        The same.
-    """
+    """Add a method to the registry and return it; a later one replaces an earlier one of the same name."""
     METHODS[method.name] = method
     return method
 
 
 def get_method(name: str) -> Method:
     """Return a method by name.
-
-    Parameters
-    ----------
-    name : str
-        Key in the registry.
-
-    Returns
-    -------
-    Method
-        The method.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What a user may write: override grammar, configuration groups, experiments and the paths of the project's files.
+"""The user's input: override grammar, configuration groups, experiments, and the paths of the project's files.
 
 Imports `fracbench.data`, `fracbench.methods` and what these may import.
 """

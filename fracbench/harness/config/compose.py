@@ -50,18 +50,9 @@ class SequenceConfig:
 
 @dataclass(frozen=True)
 class ParallelConfig:
-    """How points are spread over processes.
+    """How points are spread over processes: those of joblib on this machine, or the workers of a Dask cluster.
 
-    Attributes
-    ----------
-    backend : {"loky", "dask"}
-        Processes of joblib on this machine, or the workers of a Dask cluster.
-    jobs : int
-        Processes on this machine.
-    timeout : float or None
-        Seconds that the estimate of a point may take.
-    address : str or None
-        Of the Dask scheduler.
+    `timeout` is the number of seconds that the estimate of a point may take; `address` is that of the scheduler.
     """
 
     backend: str = "loky"
@@ -97,13 +88,7 @@ class ParallelConfig:
 
 @dataclass(frozen=True)
 class RunConfig:
-    """Everything that one choice of groups and settings determines.
-
-    Raises
-    ------
-    InputError
-        A value that is not allowed.
-    """
+    """Everything that one choice of groups and settings determines."""
 
     method: Method
     protocol: str
@@ -136,7 +121,7 @@ class RunConfig:
         self._check_scene()
 
     def _check_scene(self) -> None:
-        """Refuse what only whole frames, or only rendered scenes, can have."""
+        """Refuse settings that only whole frames, or only rendered scenes, can have."""
         for name, value in (("margin", self.margin), ("noise", self.noise), ("seed", self.seed)):
             if value is not None and not 0 <= value < math.inf:
                 raise InputError(f"{name} must be finite and at least 0, got {value:g}")
@@ -150,23 +135,7 @@ class RunConfig:
             raise InputError(f"margin={self.margin} leaves nothing of a side of {side} pixels")
 
     def override(self, values: Mapping[str, str]) -> RunConfig:
-        """Return a copy with parameters and settings changed.
-
-        Parameters
-        ----------
-        values : mapping of str to str
-            By command-line key; groups are not among them.
-
-        Returns
-        -------
-        RunConfig
-            A new record.
-
-        Raises
-        ------
-        InputError
-            An unknown key or a value that is not allowed.
-        """
+        """Return a copy with parameters and settings changed, by command-line key; groups are not among them."""
         changes: dict[str, Any] = {}
         params = {}
         for key, value in values.items():
@@ -198,18 +167,7 @@ def _number(key: str, value: Any, what: str = "a number") -> float:
 
 
 def group_options(group: str) -> list[str]:
-    """Return the names there are in a configuration group.
-
-    Parameters
-    ----------
-    group : str
-        One of `GROUPS`.
-
-    Returns
-    -------
-    list of str
-        Sorted; regions without ``none``.
-    """
+    """Return the names in a configuration group, sorted; regions without ``none``."""
     if group == "method":
         return sorted(METHODS)
     names = sorted(path.stem for path in asset(f"conf/{group}").glob("*.yaml"))
@@ -217,25 +175,7 @@ def group_options(group: str) -> list[str]:
 
 
 def protocol_settings(name: str) -> tuple[Method, dict[str, Any]]:
-    """Return the method and the parameters of a protocol, without those of any sequence.
-
-    Parameters
-    ----------
-    name : str
-        A file of ``conf/protocol``.
-
-    Returns
-    -------
-    method : Method
-        The method that the protocol names, else the default one.
-    params : dict
-        Parameters of `FlowParams` by public name.
-
-    Raises
-    ------
-    InputError
-        An unknown name, or a file that is no protocol.
-    """
+    """Return the method and the parameters of a protocol, without those of any sequence."""
     config = load_config({"protocol": name})  # which refuses a file that is none
     raw = _compose((("protocol", name), ("sequence", "none")))
     return config.method, raw["params"]
@@ -249,20 +189,7 @@ def known_keys() -> list[str]:
 def load_config(choices: Mapping[str, str]) -> RunConfig:
     """Compose and check the configuration for a choice of groups.
 
-    Parameters
-    ----------
-    choices : mapping
-        Group -> name; groups left out take the default of ``conf/config.yaml``.
-
-    Returns
-    -------
-    RunConfig
-        Typed and validated.
-
-    Raises
-    ------
-    InputError
-        An unknown name (the nearest is offered), an unknown key or a wrong value in a file.
+    Groups left out take the default of ``conf/config.yaml``.
     """
     for group, name in choices.items():
         if name not in (options := group_options(group)) and not (group == "region" and name == "none"):
@@ -322,7 +249,8 @@ def _typed(raw: Mapping[str, Any], choices: Mapping[str, str]) -> RunConfig:
         if key not in raw:
             raise InputError(f"{where}: `{key}` is missing; conf/config.yaml or a file of a group sets it")
     paths = record(_Paths, raw["paths"], f"{where}, paths")
-    method = get_method(_method_name(raw["method"], choices, where))
+    # a protocol may name a method, but the one that is asked for wins
+    method = get_method(require_name(choices.get("method", raw["method"]), "`method`", where))
     params = FlowParams().replace(method.defaults)
     region = None if raw["region"] is None else record(Region, raw["region"], f"{where}, region")
     return RunConfig(
@@ -340,11 +268,6 @@ def _typed(raw: Mapping[str, Any], choices: Mapping[str, str]) -> RunConfig:
         data=paths.data,
         results=Path(paths.results),
     )
-
-
-def _method_name(raw: Any, choices: Mapping[str, str], where: str) -> str:
-    """Return the method: a protocol may name one, but the one that is asked for wins."""
-    return require_name(choices.get("method", raw), "`method`", where)
 
 
 @dataclass(frozen=True)

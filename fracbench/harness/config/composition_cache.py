@@ -23,20 +23,6 @@ def cached_composition(folder: Path, choices: tuple[tuple[str, str], ...], compo
 
     An entry's name is a digest of every file below `folder` and of Hydra's version, so that it is never out of
     date. If the cache cannot be read or written, nothing is cached.
-
-    Parameters
-    ----------
-    folder : Path
-        The configuration.
-    choices : tuple of (str, str)
-        Group and name, sorted.
-    compose : callable
-        Makes the composition: mappings, lists, numbers, texts.
-
-    Returns
-    -------
-    object
-        The composition.
     """
     path = cache_folder() / f"{_name(folder, choices)}.json"
     with suppress(OSError, ValueError):
@@ -52,7 +38,7 @@ def cached_composition(folder: Path, choices: tuple[tuple[str, str], ...], compo
 
 
 def cache_folder() -> Path:
-    """Return where compositions are kept."""
+    """Return the folder of the cached compositions."""
     from platformdirs import user_cache_path
 
     return user_cache_path("fracbench") / "configurations"

@@ -1,4 +1,4 @@
-"""The override grammar: what ``alpha=0:2:0.1 region=grove2_A`` on the command line stands for.
+"""The override grammar: the meaning of ``alpha=0:2:0.1 region=grove2_A`` on the command line.
 
 =============================================  ==================================================
 ``alpha=1.2``                                  one value
@@ -48,7 +48,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Grid:
-    """The points that a list of overrides stands for: the product of its axes, the slowest first."""
+    """The grid of a list of overrides: the product of its axes, the slowest first."""
 
     axes: tuple[Axis, ...] = ()
 
@@ -78,16 +78,8 @@ class Grid:
     def thinned(self, n: int = 3) -> Grid:
         """Return a small grid of the same shape, to try an experiment out.
 
-        Parameters
-        ----------
-        n : int, optional
-            Values kept on an axis of numbers, at least 2: its ends and those evenly between them. Of
-            several sequences or regions the first two are kept; other names stay as they are.
-
-        Returns
-        -------
-        Grid
-            Axes in the same order, with a part of their values.
+        An axis of numbers keeps `n` values: its ends and those evenly between them. Of several sequences or
+        regions the first two are kept; other names stay as they are.
         """
         return Grid(tuple(Axis(axis.keys, _thinned(axis, n)) for axis in self.axes))
 
@@ -97,24 +89,10 @@ class Grid:
 
 
 def parse_overrides(tokens: Sequence[str]) -> Grid:
-    """Read command-line overrides.
+    """Read command-line overrides; the module's docstring has the grammar.
 
-    Parameters
-    ----------
-    tokens : sequence of str
-        ``KEY=VALUE`` and ``zip(KEY,KEY)=(VALUE,VALUE),...``; the module's docstring has the grammar.
-
-    Returns
-    -------
-    Grid
-        Their product, in the order given. Globs such as ``region=grove2_*`` stay as they are: see
-        `expand_names`.
-
-    Raises
-    ------
-    InputError
-        If a token is malformed, a key occurs twice, a number is not finite, or the grid has more than
-        `MAX_POINTS` points. The points of a grid too large are counted, never made.
+    Globs such as ``region=grove2_*`` stay as they are: see `expand_names`. The points of a grid that is too large
+    are counted, never made.
     """
     axes: list[Axis] = []
     taken: set[str] = set()
@@ -133,27 +111,7 @@ def parse_overrides(tokens: Sequence[str]) -> Grid:
 
 
 def expand_names(pattern_values: Sequence[str], allowed: Sequence[str], kind: str) -> list[str]:
-    """Replace ``all`` and shell globs by the names they stand for.
-
-    Parameters
-    ----------
-    pattern_values : sequence of str
-        Names, ``all``, or globs with ``*``, ``?``, ``[...]``; upper and lower case differ.
-    allowed : sequence of str
-        The names there are.
-    kind : str
-        What a name stands for, for the error: ``"region"``.
-
-    Returns
-    -------
-    list of str
-        Every name once, in the order of `pattern_values`, each expanded in the order of `allowed`.
-
-    Raises
-    ------
-    InputError
-        If a name is unknown or a glob matches nothing.
-    """
+    """Replace ``all`` and shell globs by the names they stand for, each once; upper and lower case differ."""
     names: dict[str, None] = {}
     for pattern in pattern_values:
         if pattern in allowed:

@@ -1,4 +1,4 @@
-"""What stands behind ``=`` in the grammar of `fracbench.harness.config.grid`: numbers, ranges, functions, texts.
+"""The values behind ``=`` in the grammar of `fracbench.harness.config.grid`: numbers, ranges, functions, texts.
 
 Numbers are decimals throughout: ``0.1 + 0.2`` is ``0.3``, and each has one spelling.
 """
@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
 from decimal import Context, Decimal, InvalidOperation, localcontext
 from itertools import pairwise
 
 from fracbench.errors import InputError, unknown_name
 
 MAX_POINTS = 100_000
-"""The largest grid: anything larger is taken for a slip of the step."""
+"""The size of the largest grid: a larger one is taken for a slip of the step."""
 
 _MAX_DIGITS = 400
 # Enough for the sum of any two numbers of float64 range with _MAX_DIGITS digits each.
@@ -33,16 +32,7 @@ _QUOTES = ("'", '"')
 def canonical_number(text: str) -> str | None:
     """Return the one spelling of a number, or None if `text` is no finite number of float64 range.
 
-    Parameters
-    ----------
-    text : str
-        For example ``"1e-3"``, ``"+1.0"``, ``".5"``, ``"-0"``.
-
-    Returns
-    -------
-    str or None
-        Plain decimal notation without superfluous zeros: ``"0.001"``, ``"1"``, ``"0.5"``, ``"0"``. Every
-        digit given is kept.
+    That is plain decimal notation without superfluous zeros (``1e-3``: ``"0.001"``); every digit given is kept.
     """
     text = text.strip()
     if not _NUMBER.fullmatch(text):
@@ -58,23 +48,9 @@ def canonical_number(text: str) -> str | None:
 
 
 def values_of(text: str) -> list[str]:
-    """Return the values of a union such as ``0:1:0.25,1.5``, each once.
+    """Return the values of a union such as ``0:1:0.25,1.5``, each once: canonical numbers, and texts.
 
-    Parameters
-    ----------
-    text : str
-        What stands behind ``=``.
-
-    Returns
-    -------
-    list of str
-        Numbers in canonical form, and texts.
-
-    Raises
-    ------
-    InputError
-        If it is malformed, holds a number that is not finite, or asks for more than `MAX_POINTS` values; these are
-        counted, never made.
+    More than `MAX_POINTS` values are counted, never made.
     """
     values: dict[str, None] = {}
     asked = 0
@@ -121,9 +97,9 @@ def _hydra_range(body: str) -> list[str]:
     if "start" not in given:
         raise InputError("range() has no start: write range(start,stop,step)")
     start, step = given["start"], given.get("step", Decimal(1))
-    if "stop" in given:
-        return _progression(start, given["stop"], step, inclusive=False)
-    return _progression(Decimal(0), start, step, inclusive=False)
+    if "stop" not in given:
+        start, given["stop"] = Decimal(0), start
+    return _progression(start, given["stop"], step, inclusive=False)
 
 
 def _choice(body: str) -> list[str]:
@@ -154,11 +130,7 @@ def _logarithmic(body: str) -> list[str]:
     return [_plain(value) for value in values]
 
 
-_FUNCTIONS: dict[str, Callable[[str], list[str]]] = {
-    "choice": _choice,
-    "log": _logarithmic,
-    "range": _hydra_range,
-}
+_FUNCTIONS = {"choice": _choice, "log": _logarithmic, "range": _hydra_range}
 
 
 def _progression(start: Decimal, stop: Decimal, step: Decimal, *, inclusive: bool) -> list[str]:
@@ -252,6 +224,6 @@ def refuse_beyond_limit(count: int) -> None:
 
 
 def quote(text: str) -> str:
-    """Quote what the user wrote on one line, shortened in the middle."""
+    """Quote a text of the user on one line, shortened in the middle."""
     quoted = repr(text)
     return quoted if len(quoted) <= 100 else f"{quoted[:60]} ... {quoted[-30:]}"

@@ -1,4 +1,4 @@
-"""Where the files beside the code are: at the top of a checkout, inside an installed package."""
+"""The paths of the files beside the code: at the top of a checkout, or inside an installed package."""
 
 from __future__ import annotations
 
@@ -11,22 +11,9 @@ _PACKAGE = Path(fracbench.__file__).resolve().parent
 
 
 def asset(relative: str) -> Path:
-    """Return the path of a folder or file that belongs to the project.
+    """Return the path of a folder or file of the project, e.g. ``conf``.
 
-    Parameters
-    ----------
-    relative : str
-        Path below the top of the checkout, e.g. ``"conf"`` or ``"results/published/table2.csv"``.
-
-    Returns
-    -------
-    Path
-        In the checkout the package is imported from, else in the installed package.
-
-    Raises
-    ------
-    InputError
-        If neither has it.
+    It is in the checkout that the package is imported from, else in the installed package.
     """
     for root in (_PACKAGE.parent, _PACKAGE / "_assets"):
         # A folder named conf beside site-packages would be somebody else's.

@@ -1,7 +1,7 @@
-"""What a YAML file of the project may hold: keys and types that are known, and nothing that could run code.
+"""The checks of YAML files: their keys and types are known, and nothing in them could run code.
 
 Hydra reads more out of a configuration than values: ``hydra.searchpath`` may name a Python package, which is
-imported, and ``_target_`` names something to be called. Neither has a place here: the files are data.
+imported, and ``_target_`` names an object that is called. Neither has a place here: the files are data.
 """
 
 from __future__ import annotations
@@ -34,27 +34,7 @@ _WORDS = {
 
 
 def require_name(value: Any, what: str, where: str) -> str:
-    """Return a name that may become part of a file's name: it cannot lead out of a folder.
-
-    Parameters
-    ----------
-    value : any
-        What was given.
-    what : str
-        What the name stands for.
-    where : str
-        The place, for the message.
-
-    Returns
-    -------
-    str
-        The name.
-
-    Raises
-    ------
-    InputError
-        It is no text, too long, or has other characters than letters, digits and ``_ . + -`` between them.
-    """
+    """Return a name that may become part of a file's name: it cannot lead out of a folder."""
     if not isinstance(value, str) or not _NAME.fullmatch(value) or len(value) > _LONGEST:
         rule = f"a name of letters, digits, _, -, + and . (at most {_LONGEST})"
         raise InputError(f"{where}: {what} must be {rule}, got {_short(value)}")
@@ -62,13 +42,7 @@ def require_name(value: Any, what: str, where: str) -> str:
 
 
 def mapping(raw: Any, where: str, allowed: Collection[str] | None = None) -> dict[str, Any]:
-    """Return a section of a file, whose keys are texts and, if `allowed` is given, among those.
-
-    Raises
-    ------
-    InputError
-        It is none; an unknown key (the nearest is offered).
-    """
+    """Return a section of a file, whose keys are texts and, if `allowed` is given, among those."""
     if not isinstance(raw, Mapping):
         keys = f" with the keys {', '.join(sorted(allowed))}" if allowed else ""
         raise InputError(f"{where}: must be a mapping{keys}, got {_short(raw)}")
@@ -81,27 +55,7 @@ def mapping(raw: Any, where: str, allowed: Collection[str] | None = None) -> dic
 
 
 def record(kind: type[T], raw: Any, where: str) -> T:
-    """Make a typed record out of a section of a file.
-
-    Parameters
-    ----------
-    kind : type
-        A dataclass, whose annotations say which type each key has.
-    raw : any
-        The section.
-    where : str
-        The place, for messages.
-
-    Returns
-    -------
-    kind
-        The record.
-
-    Raises
-    ------
-    InputError
-        An unknown or missing key, a value of another type, or one that `kind` refuses.
-    """
+    """Make a dataclass, whose annotations say which type each key has, out of a section of a file."""
     hints = typing.get_type_hints(kind)
     values = mapping(raw, where, hints)
     for key, value in values.items():
@@ -139,18 +93,9 @@ def _word(hint: Any) -> str:
 
 
 def refuse_code(folder: Path) -> None:
-    """Read every YAML file below a folder as plain data and refuse what Hydra would act upon.
+    """Read every YAML file below a folder as plain data and refuse those on which Hydra would act.
 
-    Parameters
-    ----------
-    folder : Path
-        A configuration for Hydra.
-
-    Raises
-    ------
-    InputError
-        A file that is not YAML in UTF-8 or no mapping; ``hydra`` or a key such as ``_target_`` anywhere in it;
-        another package than ``_global_``.
+    That is ``hydra`` or a key such as ``_target_`` anywhere in it, and another package than ``_global_``.
     """
     for path in sorted(folder.rglob("*.yaml")):
         state = path.stat()
