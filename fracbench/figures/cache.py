@@ -26,25 +26,7 @@ def draw(stem: Path, make: Callable[..., Figure], *shown: Any, **looks: Any) -> 
 
     A hidden file beside them tells whether they show it: a digest of the arguments, of the drawing code and of
     matplotlib's version, and those of both files. Delete it, or a picture, to have the figure drawn again.
-
-    Parameters
-    ----------
-    stem : Path
-        Path without suffix.
-    make : callable
-        Draws; its result depends on its arguments alone.
-    *shown, **looks
-        Tables, arrays, numbers, texts, and sequences and mappings of them.
-
-    Returns
-    -------
-    list of Path
-        The png and the pdf.
-
-    Raises
-    ------
-    InputError
-        The folder cannot be written to.
+    Arguments are tables, arrays, numbers, texts, and sequences and mappings of them.
     """
     return keep(
         style.figure_files(stem),
@@ -54,22 +36,7 @@ def draw(stem: Path, make: Callable[..., Figure], *shown: Any, **looks: Any) -> 
 
 
 def keep(files: Sequence[Path], depends_on: Any, write: Callable[[], Any]) -> list[Path]:
-    """Call `write` unless `files` are as it left them and nothing that they depend on has changed.
-
-    Parameters
-    ----------
-    files : sequence of Path
-        The files that `write` makes; the record is named after the first.
-    depends_on : object
-        All that their content depends on, besides code and matplotlib: see `draw`.
-    write : callable
-        Writes the files.
-
-    Returns
-    -------
-    list of Path
-        The files.
-    """
+    """Call `write` unless `files` are as it left them and code and `depends_on` have not changed; see `draw`."""
     record = files[0].with_name(f".{files[0].stem}.made")
     wanted = hashlib.sha256(_code().encode())
     _feed(wanted, depends_on)

@@ -14,7 +14,6 @@ import numpy as np
 
 from fracbench.errors import InputError, unknown_name
 from fracbench.figures.style import (
-    BEHIND,
     METRICS,
     MISSING,
     PALETTE,
@@ -38,12 +37,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+#: The markers of the paper's figures 3 and 4, in the order of their captions.
 MARKERS = ("o", "*", "x", "D", "^", "+")
-"""The markers of the paper's figures 3 and 4, in the order of their captions."""
-
-CURVE_MARKERS = ("o", "s", "D", "^", "v", "P")
-"""Markers of `alpha_curves`, where a star stands for a minimum."""
-
+#: Those of `alpha_curves`, where a star stands for a minimum.
+_CURVE_MARKERS = ("o", "s", "D", "^", "v", "P")
+#: The ring about a point at 0.
+RING: Mapping[str, Any] = {"marker": "o", "color": "none", "markeredgecolor": "#404040", "linestyle": "none"}
 _MAX_TICKS = 11
 # Drawn at one size, these look smaller than a disc.
 _SMALL_MARKERS = {"*": 8.5, "x": 6.5, "+": 8.0}
@@ -54,75 +53,31 @@ def alpha_curves(
     *,
     x: str = "alpha",
     hue: str | None = None,
-    highlight: object = None,
     title: str = "",
-    markers: Sequence[str] = CURVE_MARKERS,
-    band: pd.DataFrame | None = None,
-    band_label: str = "spread",
     logx: bool = False,
     zero_note: str = "",
 ) -> Figure:
     """Draw both errors against a swept key, with the minimum of each curve marked and named.
 
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        Columns `x`, ``aae`` [rad], ``aepe`` [px] and, if given, `hue`; one row a point, in any order.
-    x : str, optional
-        The swept key.
-    hue : str, optional
-        Column that tells the curves apart, e.g. ``"region"``; without it there is one curve.
-    highlight : object, optional
-        The value of `hue` to draw in full; the other curves become thin gray lines behind it.
-    title : str, optional
-        Heading of the figure.
-    markers : sequence of str, optional
-        matplotlib's markers, one a curve, used in turn.
-    band : pandas.DataFrame, optional
-        A range behind the curves: columns `x`, ``aae_low``, ``aae_high``, ``aepe_low``, ``aepe_high``.
-    band_label : str, optional
-        Name of the range in the legend.
-    logx : bool, optional
-        Logarithmic axis.
-    zero_note : str, optional
-        Remark on the point `x` = 0, which is then ringed and explained below the panels.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Two panels.
-
-    Raises
-    ------
-    InputError
-        If a column is missing, the table is empty, two points of a curve share one `x`, `highlight` names no
-        curve, or `x` holds a value that cannot be drawn.
+    Rows, one a point, come in any order; the column `hue` tells the curves apart, without it there is one. With
+    `zero_note`, a remark on the point `x` = 0, that point is ringed and explained below the panels.
     """
     curves = split_curves(table, x, hue, logx)
-    front = {value: part for value, part in curves.items() if highlight is None or value == highlight}
-    if not front:
-        raise unknown_name(f"`highlight`, a value of {hue!r},", str(highlight), map(str, curves))
-    behind = [part for value, part in curves.items() if value not in front]
     with house_style():
         fig, axes = two_panels(title)
         for ax, metric in zip(axes, METRICS, strict=True):
             _start_axes(ax, x, metric, logx)
-            if band is not None:
-                draw_band(ax, band, x, metric, band_label)
-            for i, part in enumerate(behind):
-                others = f"other {symbol(str(hue))}" if i == 0 else None
-                ax.plot(part[x], part[metric], color=BEHIND, linewidth=0.9, zorder=1.5, label=others)
-            for i, (value, part) in enumerate(front.items()):
+            for i, (value, part) in enumerate(curves.items()):
                 look: dict[str, Any] = {
                     "color": PALETTE[i % len(PALETTE)],
-                    "marker": markers[i % len(markers)],
+                    "marker": _CURVE_MARKERS[i % len(_CURVE_MARKERS)],
                 }
                 label = equation(hue, value) if hue else None
-                _draw_curve(ax, part, x, metric, look, label, name_minimum=len(front) == 1)
+                _draw_curve(ax, part, x, metric, look, label, name_minimum=len(curves) == 1)
                 if zero_note:
                     ring_zero(ax, part, x, metric)
         legend_below(fig)
-        if zero_note and any((part[x] == 0).any() for part in front.values()):
+        if zero_note and any((part[x] == 0).any() for part in curves.values()):
             fig.supxlabel(f"ringed: {symbol(x)} = 0, {zero_note}", fontsize=8.5)
     return fig
 
@@ -132,53 +87,23 @@ def line_family(
     *,
     x: str,
     family: str,
-    method_column: str | None = "method",
     title: str = "",
-    markers: Sequence[str] = MARKERS,
     styles: Sequence[str] = (),
     logx: bool = False,
     logy: bool = False,
     shade: tuple[float, float] | None = None,
 ) -> Figure:
-    """Draw both errors against one key, a line for each value of another and each method (figures 2-4).
+    """Draw both errors against `x`, a line for each value of `family` and each method (figures 2-4).
 
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        Columns `x`, `family`, ``aae`` [rad], ``aepe`` [px] and, unless None, `method_column`.
-    x : str
-        The key on the axis.
-    family : str
-        The key that tells the lines apart by marker and colour.
-    method_column : str or None, optional
-        Column of method names, told apart by the line's style: TV-L1 dashed, TV-L1-SB solid.
-    title : str, optional
-        Heading of the figure.
-    markers : sequence of str, optional
-        matplotlib's markers in the order of the family's values; those of the captions by default.
-    styles : sequence of str, optional
-        For a single method, line and marker in the order of the family's values, e.g. ``"--*"`` or ``"-."``.
-    logx, logy : bool, optional
-        Logarithmic axes.
-    shade : (float, float), optional
-        Range of `x` where the paper finds the errors smallest.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Two panels with one legend at their right.
-
-    Raises
-    ------
-    InputError
-        As for `alpha_curves`.
+    The values differ in marker and colour, the methods in the line's style: TV-L1 dashed, TV-L1-SB solid. With
+    `styles`, for a single method, the caption gives line and marker of each value, e.g. ``"--*"`` or ``"-."``.
+    `shade` is the range of `x` where the paper finds the errors smallest.
     """
     from matplotlib.lines import Line2D
 
-    _need_columns(table, [family, *([method_column] if method_column else [])])
-    methods = _values(table[method_column]) if method_column else []
-    lines = method_lines(methods)
-    captions: list[tuple[Any, str]] = [*map(caption_style, styles)] or [("", marker) for marker in markers]
+    _need_columns(table, [family, "method"])
+    lines = method_lines(_values(table["method"]))
+    captions: list[tuple[Any, str]] = [*map(caption_style, styles)] or [("", marker) for marker in MARKERS]
     with house_style():
         fig, axes = two_panels(title)
         for ax, metric in zip(axes, METRICS, strict=True):
@@ -196,8 +121,8 @@ def line_family(
             }
             handles.append(Line2D([], [], label=equation(family, value), linestyle=line or "-", **look))
             rows = table[table[family] == value]
-            for method, part in split_curves(rows, x, method_column, logx).items():
-                style = line or (lines[method][1] if method_column else "-")
+            for method, part in split_curves(rows, x, "method", logx).items():
+                style = line or lines[method][1]
                 for ax, metric in zip(axes, METRICS, strict=True):
                     ax.plot(part[x], part[metric], linestyle=style, **look)
         if not styles:
@@ -210,39 +135,18 @@ def line_family(
     return fig
 
 
-def heat_map(
-    table: pd.DataFrame, *, x: str, y: str, value: Sequence[str] = tuple(METRICS), title: str = ""
-) -> Figure:
+def heat_map(table: pd.DataFrame, *, x: str, y: str, title: str = "") -> Figure:
     """Draw the errors of a two-key sweep as maps, with the best cell marked and named.
 
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        Columns `x`, `y` and those in `value`; one row a point. A point that is not there is a gray cell.
-    x, y : str
-        The swept keys. Cells are equally large whatever the grid's spacing.
-    value : sequence of str, optional
-        The errors to draw, one panel each; names from `METRICS`.
-    title : str, optional
-        Heading of the figure.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        One panel an error, each with its colour bar.
-
-    Raises
-    ------
-    InputError
-        If a column is missing, the table is empty, or two rows share one cell.
+    Cells are equally large whatever the grid's spacing; one without a point is gray.
     """
-    _need_columns(table, [x, y, *value])
+    _need_columns(table, [x, y, *METRICS])
     if table.duplicated([x, y]).any():
         raise InputError(f"heat_map: several rows share one ({x}, {y}); select one region and method first")
     with house_style():
         fig = new_figure(3.7)
         fig.suptitle(title)
-        for ax, metric in zip(fig.subplots(1, len(value), squeeze=False)[0], value, strict=True):
+        for ax, metric in zip(fig.subplots(1, len(METRICS)), METRICS, strict=True):
             _draw_cells(ax, table.pivot(index=y, columns=x, values=metric), metric)
     return fig
 
@@ -321,16 +225,7 @@ def _draw_curve(
 def ring_zero(ax: Axes, part: pd.DataFrame, x: str, metric: str) -> None:
     """Ring the point at 0 of a curve, if it has one."""
     zero = part[part[x] == 0]
-    ax.plot(
-        zero[x],
-        zero[metric],
-        "o",
-        gid="zero",
-        markersize=12,
-        color="none",
-        markeredgecolor="#404040",
-        zorder=4,
-    )
+    ax.plot(zero[x], zero[metric], gid="zero", markersize=12, zorder=4, **RING)
 
 
 def _draw_cells(ax: Axes, cells: pd.DataFrame, metric: str) -> None:

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from fracbench.data.files import UNKNOWN_ABOVE
 from fracbench.errors import InputError
 
-OUT_OF_RANGE_DIM = 0.75
-"""Brightness of pixels that move faster than the colour scale reaches."""
+_OUT_OF_RANGE_DIM = 0.75  # brightness of pixels that move faster than the colour scale reaches
 
 # Steps between neighbouring corners of the RGB cube: red-yellow, yellow-green, green-cyan, cyan-blue,
 # blue-magenta, magenta-red. They are unequal because the eye tells more hues apart in some than in others.
@@ -23,13 +22,7 @@ _RADIUS_SLACK = 1e-6
 
 
 def wheel_colours() -> NDArray[np.float64]:
-    """Return the colours of the wheel, from rightward motion (red) over downward (yellow) onwards.
-
-    Returns
-    -------
-    numpy.ndarray
-        Shape (55, 3), RGB, whole numbers 0..255 as float64.
-    """
+    """Return the wheel's 55 colours, (55, 3) in 0..255, from rightward motion (red) over downward (yellow) on."""
     corners = np.array(_CORNERS, dtype=np.int64)
     arcs = []
     for start, stop, steps in zip(corners, np.roll(corners, -1, axis=0), _ARCS, strict=True):
@@ -39,30 +32,13 @@ def wheel_colours() -> NDArray[np.float64]:
 
 
 def flow_to_color(flow: NDArray[Any], max_motion: float | None = None) -> NDArray[np.uint8]:
-    """Paint a flow field in the Middlebury colour code.
+    """Paint a (2, H, W) flow in the Middlebury colour code: (H, W, 3) uint8, white where nothing moves.
 
-    Parameters
-    ----------
-    flow : numpy.ndarray
-        Shape (2, H, W), horizontal and vertical displacement in pixels. NaN, or a magnitude above 1e9 in
-        either component, means unknown and is painted black.
-    max_motion : float, optional
-        Speed in pixels that gets the full colour; faster pixels are dimmed. By default the largest known
-        speed of this flow; give one value to make several pictures comparable.
-
-    Returns
-    -------
-    numpy.ndarray
-        Shape (H, W, 3), uint8, RGB. No motion is white.
-
-    Raises
-    ------
-    InputError
-        If `flow` is not (2, H, W), or `max_motion` is not a positive finite number.
+    Unknown pixels, with NaN or more than 1e9 in a component, are black. `max_motion` is the speed in pixels that
+    gets the full colour, by default the largest of this flow; faster pixels are dimmed.
     """
-    field = checked_flow(flow)
-    known = known_pixels(field)
-    u, v = np.where(known, field, 0.0)
+    field, known = _known_flow(flow)
+    u, v = field
     speed = np.hypot(u, v)
     radius = speed / _scale(speed, max_motion)
     colour = _saturate(_hue(u, v), radius[..., None])
@@ -71,22 +47,9 @@ def flow_to_color(flow: NDArray[Any], max_motion: float | None = None) -> NDArra
 
 
 def color_wheel(size: int) -> NDArray[np.uint8]:
-    """Draw the legend of the colour code: each pixel shows the colour of the motion from the centre to it.
+    """Return the legend, (size, size, 3) uint8: each pixel in the colour of the motion from the centre to it.
 
-    Parameters
-    ----------
-    size : int
-        Height and width of the picture in pixels, at least 2.
-
-    Returns
-    -------
-    numpy.ndarray
-        Shape (size, size, 3), uint8, RGB; white outside the disc, whose rim is `max_motion`.
-
-    Raises
-    ------
-    InputError
-        If `size` is below 2.
+    The disc's rim is `max_motion`; outside it is white.
     """
     if size < 2:
         raise InputError(f"color_wheel: `size` must be at least 2 pixels, got {size}")
@@ -96,24 +59,18 @@ def color_wheel(size: int) -> NDArray[np.uint8]:
     return flow_to_color(np.where(inside, motion, 0.0), max_motion=1.0)
 
 
-def checked_flow(flow: NDArray[Any]) -> NDArray[np.float64]:
-    """Return `flow` as float64, or raise InputError if it is not of shape (2, H, W)."""
+def _known_flow(flow: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return a (2, H, W) flow with 0 where a component is unknown, and the (H, W) mask of known pixels."""
     field = np.asarray(flow, dtype=np.float64)
     if field.ndim != 3 or field.shape[0] != 2:
         raise InputError(f"`flow` must have shape (2, H, W), got {field.shape}")
-    return field
-
-
-def known_pixels(flow: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return the (H, W) mask of pixels whose two components are both known."""
-    known: NDArray[np.bool_] = np.all(np.abs(flow) <= UNKNOWN_ABOVE, axis=0)
-    return known
+    known = np.all(np.abs(field) <= UNKNOWN_ABOVE, axis=0)
+    return np.where(known, field, 0.0), known
 
 
 def fastest(flow: NDArray[Any]) -> float:
     """Return the largest known speed of a (2, H, W) flow in pixels; 0 if no pixel is known."""
-    field = checked_flow(flow)
-    return float(np.hypot(*np.where(known_pixels(field), field, 0.0)).max(initial=0.0))
+    return float(np.hypot(*_known_flow(flow)[0]).max(initial=0.0))
 
 
 def _scale(speed: NDArray[np.float64], max_motion: float | None) -> float:
@@ -139,4 +96,4 @@ def _hue(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
 def _saturate(hue: NDArray[np.float64], radius: NDArray[np.float64]) -> NDArray[np.float64]:
     """Fade a colour to white towards radius 0; dim it beyond radius 1."""
     within = 1.0 - np.minimum(radius, 1.0) * (1.0 - hue)
-    return np.where(radius <= 1.0 + _RADIUS_SLACK, within, OUT_OF_RANGE_DIM * hue)
+    return np.where(radius <= 1.0 + _RADIUS_SLACK, within, _OUT_OF_RANGE_DIM * hue)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fracbench.figures.curves import draw_band, ring_zero, split_curves
+from fracbench.figures.curves import RING, draw_band, ring_zero, split_curves
 from fracbench.figures.style import (
     METRICS,
     PALETTE,
@@ -33,20 +33,10 @@ _PAPER: Mapping[str, Any] = {"marker": "v", "color": "black", "markersize": 5, "
 
 @dataclass(frozen=True)
 class Curve:
-    """A line of a panel.
+    """A line of a panel: rows of the swept key, ``aae`` [rad] and ``aepe`` [px], and matplotlib's properties.
 
-    Attributes
-    ----------
-    points : pandas.DataFrame
-        The swept key, ``aae`` [rad] and ``aepe`` [px]; one row a point.
-    label : str
-        Name in the legend; lines of one name share an entry.
-    look : mapping
-        matplotlib's properties of the line.
-    starred : bool
-        Whether the minimum is marked and named.
-    ringed : bool
-        Whether the point at 0 is ringed.
+    Lines of one label share an entry of the legend. `starred` marks and names the minimum, `ringed` rings the
+    point at 0.
     """
 
     points: pd.DataFrame
@@ -58,20 +48,10 @@ class Curve:
 
 @dataclass(frozen=True)
 class Panel:
-    """The panel of one region and one error.
+    """The panel of one region and one error, with its curves from back to front.
 
-    Attributes
-    ----------
-    heading : str
-        Above the panel.
-    curves : sequence of Curve
-        From back to front.
-    band : pandas.DataFrame or None
-        A range behind them: the swept key, and ``aae_low``, ``aae_high``, ``aepe_low``, ``aepe_high``.
-    band_label : str
-        Name of the range in the legend.
-    published : float or None
-        Where the paper finds the minimum.
+    `band` is a range behind them: the swept key, and ``aae_low``, ``aae_high``, ``aepe_low``, ``aepe_high``;
+    `published` is where the paper finds the minimum.
     """
 
     heading: str
@@ -84,32 +64,10 @@ class Panel:
 def panel_grid(
     regions: Sequence[str], compose: Callable[[str, str], Panel], *, x: str, title: str, note: str = ""
 ) -> Figure:
-    """Draw both errors against a swept key, region by region.
+    """Draw both errors against a swept key, a column for each region.
 
-    The errors are on a logarithmic axis: equal heights are equal ratios, in a valley as beside it.
-
-    Parameters
-    ----------
-    regions : sequence of str
-        One column each.
-    compose : callable
-        Returns the panel of a region (first argument) and an error (second, a key of `METRICS`).
-    x : str
-        The swept key.
-    title : str
-        Heading of the figure.
-    note : str, optional
-        Explains the rings, in the legend.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Two rows of panels with one legend below.
-
-    Raises
-    ------
-    InputError
-        As for `fracbench.figures.curves.alpha_curves`.
+    `compose` returns the panel of a region and an error; `note`, in the legend, explains the rings. The errors are
+    on a logarithmic axis: equal heights are equal ratios, in a valley as beside it.
     """
     with house_style():
         fig = new_figure(6.2)
@@ -180,6 +138,5 @@ def _legend(fig: Figure, x: str, note: str) -> None:
     if any(line.get_gid() == "published" for ax in fig.axes for line in ax.lines):
         entries[f"best {symbol(x)} in the paper"] = Line2D([], [], **_PAPER)
     if note:
-        ring: dict[str, Any] = {"marker": "o", "markersize": 9, "color": "none", "markeredgecolor": "#404040"}
-        entries[note] = Line2D([], [], **ring)
+        entries[note] = Line2D([], [], markersize=9, **RING)
     fig.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=2)

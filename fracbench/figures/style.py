@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import math
 import numbers
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -17,18 +16,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+#: Okabe and Ito's colours, told apart by the colour-blind; without their yellow, too pale on white.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-"""Okabe and Ito's colours, told apart by the colour-blind; without their yellow, too pale on white."""
-
-WIDTH = 8.0
-"""Width of every figure in inches."""
-
-DPI = 160
-"""Resolution of png files: `WIDTH` at this resolution is 1280 pixels."""
-
+WIDTH = 8.0  # of every figure, inches
+DPI = 160  # of png files, which are 1280 pixels wide
+#: The errors that figures show, one panel each, and the labels of their axes.
 METRICS: Mapping[str, str] = {"aae": "AAE [rad]", "aepe": "AEPE [px]"}
-"""The errors every figure shows, one panel each, and the labels of their axes."""
-
+#: Symbol and axis label of the keys; any other key stands under its own name.
 KEYS: Mapping[str, tuple[str, str]] = {
     "alpha": (r"$\alpha$", r"fractional order $\alpha$"),
     "lambda": (r"$\lambda$", r"data attachment weight $\lambda$"),
@@ -40,28 +34,19 @@ KEYS: Mapping[str, tuple[str, str]] = {
     "n_warps": ("warps", "number of warps"),
     "max_iter": ("iterations", "iterations a warp"),
 }
-"""Symbol and axis label of the keys; any other key stands under its own name."""
-
+#: Name and line style of the paper's methods; the first two styles are those of its captions.
 METHODS: Mapping[str, tuple[str, Any]] = {
     "tvl1": ("TV-L1", "--"),
     "tvl1_sb": ("TV-L1-SB", "-"),
     "tvl1_sb_alpha": (r"TV-L1-SB-$\alpha$", "-."),
 }
-"""Name and line style of the paper's methods; the first two styles are those of its captions."""
-
 _OTHER_LINES: tuple[Any, ...] = (":", (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)), (0, (1, 4)))
-
-BEHIND = "#BDBDBD"
-"""Colour of lines that are there for comparison only."""
-
-SHADE = "#EDEDED"
-"""Colour of a range that is pointed out."""
-
-MISSING = "#9E9E9E"
-"""Colour of cells and pixels without a value."""
-
 _LINES = ("--", "-.", ":", "-")
 
+BEHIND = "#BDBDBD"  # lines for comparison only
+SHADE = "#EDEDED"  # a range that is pointed out
+MISSING = "#9E9E9E"  # cells and pixels without a value
+#: The mark of a minimum.
 STAR: Mapping[str, Any] = {
     "marker": "*",
     "markersize": 14,
@@ -69,8 +54,8 @@ STAR: Mapping[str, Any] = {
     "linestyle": "none",
     "zorder": 4,
 }
-"""How a minimum is marked."""
 
+#: matplotlib's settings, applied over its own defaults; a user's matplotlibrc has no effect.
 RC: dict[str, Any] = {
     "font.family": ["DejaVu Sans"],  # ships with matplotlib: the same letters on every machine
     "font.size": 10,
@@ -94,14 +79,7 @@ RC: dict[str, Any] = {
     "image.cmap": "cividis",
     "image.interpolation": "nearest",
     "pdf.fonttype": 42,  # text stays text: it can be searched, and edited in a drawing program
-    "svg.fonttype": "none",
-    "svg.hashsalt": "fracbench",
 }
-"""matplotlib settings, applied over matplotlib's own defaults; a user's matplotlibrc has no say."""
-
-_SIDE = 1.15  # inches for the legend beside pictures
-_TITLE = 0.32  # inches for a title above one
-
 # None leaves an entry out. Dates and versions would make equal figures differ from run to run.
 _METADATA: dict[str, dict[str, str | None]] = {
     "png": {"Software": None},
@@ -134,23 +112,7 @@ def axis_label(key: str) -> str:
 
 
 def caption_style(style: str) -> tuple[str, str]:
-    """Take a line's style in a caption apart; its colour is not the caption's to choose.
-
-    Parameters
-    ----------
-    style : str
-        Line, marker or both, e.g. ``"--*"``.
-
-    Returns
-    -------
-    line, marker : str
-        As matplotlib has them: ``""`` for no line of its own, ``"None"`` for no marker.
-
-    Raises
-    ------
-    InputError
-        There is no such marker, or nothing at all.
-    """
+    """Split a style of a caption, e.g. ``"--*"``, into line (``""`` for none) and marker (``"None"`` for none)."""
     from matplotlib.lines import Line2D
 
     line = next((line for line in _LINES if style.startswith(line)), "")
@@ -173,23 +135,15 @@ def method_lines(methods: Sequence[str]) -> dict[str, tuple[str, Any]]:
     return {method: METHODS.get(method) or spare[method] for method in methods}
 
 
-def new_figure(height: float, width: float = WIDTH) -> Figure:
-    """Return an empty figure on an Agg canvas that pyplot does not know of.
+def new_figure(height: float) -> Figure:
+    """Return an empty figure of a height in inches, on an Agg canvas that pyplot does not know of.
 
-    Parameters
-    ----------
-    height, width : float
-        Size in inches.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        With constrained layout, which makes room for legends outside the axes.
+    Its constrained layout makes room for legends outside the axes.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    fig = Figure(figsize=(width, height), layout="constrained")
+    fig = Figure(figsize=(WIDTH, height), layout="constrained")
     FigureCanvasAgg(fig)
     return fig
 
@@ -235,69 +189,16 @@ def legend_below(fig: Figure) -> None:
         if handles:
             # An offset in inches: one in parts of the axes would move with the figure's height.
             below = ax.transAxes + ScaledTranslation(0, -0.48, fig.dpi_scale_trans)
-            ax.legend(
-                handles,
-                labels,
-                loc="upper left",
-                bbox_to_anchor=(0, 0),
-                bbox_transform=below,
-                borderaxespad=0,
-            )
+            place: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (0, 0), "bbox_transform": below}
+            ax.legend(handles, labels, borderaxespad=0, **place)
     fig.set_figheight(fig.get_figheight() + 0.19 * rows)
 
 
-def picture_grid(shapes: Sequence[tuple[int, ...]], columns: int) -> tuple[Figure, list[Axes], Axes]:
-    """Return a figure with a bare panel for each picture, and a narrow one for their legend at the right.
-
-    Parameters
-    ----------
-    shapes : sequence of tuple of int
-        ``(H, W)`` of each picture.
-    columns : int
-        Pictures in a row, at most.
-
-    Returns
-    -------
-    tuple of (matplotlib.figure.Figure, list of matplotlib.axes.Axes, matplotlib.axes.Axes)
-        Figure, one panel a picture in reading order, and the legend's panel.
-
-    Raises
-    ------
-    InputError
-        If there is no picture, or `columns` is not positive.
-    """
-    if not shapes or columns < 1:
-        raise InputError(f"a grid of pictures needs pictures and columns, got {len(shapes)} in {columns} columns")
-    columns = min(columns, len(shapes))
-    rows = math.ceil(len(shapes) / columns)
-    tallest = max(height / width for height, width in shapes)
-    cell = (WIDTH - _SIDE) / columns
-    fig = new_figure(max(rows * (cell * tallest + _TITLE), _SIDE + 2 * _TITLE))
-    grid = fig.add_gridspec(rows, columns + 1, width_ratios=[cell] * columns + [_SIDE])
-    axes = [fig.add_subplot(grid[divmod(i, columns)]) for i in range(len(shapes))]
-    side = fig.add_subplot(grid[:, -1])
-    for ax in (*axes, side):
-        ax.set_axis_off()
-    return fig, axes, side
-
-
 def render(fig: Figure, fmt: str) -> bytes:
-    """Return the figure as the bytes of a file; equal figures give equal bytes, at the second call too.
+    """Return the figure as a png or pdf file; equal figures give equal bytes, at the second call too.
 
     The layout is settled at the first call and then kept: constrained layout starts from where it last
     left the panels, so that each drawing would differ from the one before by fractions of a pixel.
-
-    Parameters
-    ----------
-    fig : matplotlib.figure.Figure
-        The figure.
-    fmt : str
-        ``"png"`` or ``"pdf"``.
-
-    Returns
-    -------
-    bytes
-        The file's content, with neither date nor version in it.
     """
     buffer = io.BytesIO()
     with house_style():
@@ -321,31 +222,12 @@ def _slim(png: bytes) -> bytes:
 
 
 def figure_files(stem: Path) -> list[Path]:
-    """Return where `save_figure` writes: the png and the pdf; dots in the stem are kept."""
+    """Return the png and the pdf of a path without suffix; ``alpha1.2`` gives ``alpha1.2.png``."""
     return [stem.with_name(f"{stem.name}.{fmt}") for fmt in _METADATA]
 
 
 def save_figure(fig: Figure, stem: Path) -> list[Path]:
-    """Write a figure as png and pdf.
-
-    Parameters
-    ----------
-    fig : matplotlib.figure.Figure
-        The figure.
-    stem : pathlib.Path
-        Path without suffix; dots in it are kept (``alpha1.2`` gives ``alpha1.2.png``).
-
-    Returns
-    -------
-    list of pathlib.Path
-        The png and the pdf.
-
-    Raises
-    ------
-    InputError
-        If the folder cannot be written to.
-    """
-    # Both are drawn before either is written: a figure that cannot be drawn replaces nothing.
+    """Write a figure to `figure_files`, both files or neither where it cannot be drawn."""
     contents = {path: render(fig, path.suffix.removeprefix(".")) for path in figure_files(stem)}
     for path, content in contents.items():
         with atomic_path(path) as tmp:

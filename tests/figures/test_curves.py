@@ -18,7 +18,7 @@ from matplotlib.lines import Line2D
 
 from fracbench.errors import InputError
 from fracbench.figures.curves import MARKERS, alpha_curves, heat_map, line_family
-from fracbench.figures.style import DPI, PALETTE, WIDTH, house_style, new_figure, render, save_figure
+from fracbench.figures.style import DPI, WIDTH, house_style, new_figure, render, save_figure
 
 ALPHA = np.round(np.arange(0.0, 2.01, 0.2), 10)
 UNITS = ["AAE [rad]", "AEPE [px]"]
@@ -94,31 +94,6 @@ def test_curves_of_a_hue_differ_in_colour_and_marker() -> None:
         assert legend_texts(ax) == [rf"{r}: min at $\alpha$ = {v:g}" for r, v in regions.items()]
 
 
-def test_highlight_puts_the_other_curves_behind() -> None:
-    table = pd.concat([sweep(0.2 * s, 1.0, lambda_sb=s) for s in (7, 1, 5)])
-    ax = alpha_curves(table, hue="lambda_sb", highlight=5).axes[0]
-    *others, front = lines(ax)
-    assert len(others) == 2 and all(o.get_linewidth() < 1 and o.get_marker() == "None" for o in others)
-    assert all(o.get_zorder() < front.get_zorder() for o in others)
-    assert front.get_color() == PALETTE[0]
-    assert [s.get_xdata()[0] for s in lines(ax, "minimum")] == [1.0]
-    assert legend_texts(ax) == [r"other $\lambda_{SB}$", r"$\lambda_{SB}$ = 5"]
-
-
-def test_band_is_filled_between_its_limits() -> None:
-    table = sweep()
-    band = pd.DataFrame({"alpha": ALPHA})
-    for metric in ("aae", "aepe"):
-        band[f"{metric}_low"], band[f"{metric}_high"] = table[metric] * 0.9, table[metric] * 1.2
-    fig = alpha_curves(table, band=band, band_label="spread over 25 boxes")
-    for ax, metric in zip(fig.axes, ("aae", "aepe"), strict=True):
-        (patch,) = ax.collections
-        corners = patch.get_paths()[0].vertices
-        assert corners[:, 1].max() == pytest.approx(table[metric].max() * 1.2)
-        assert corners[:, 1].min() == pytest.approx(table[metric].min() * 0.9)
-        assert legend_texts(ax) == ["spread over 25 boxes"]
-
-
 def test_legend_stays_off_the_data_and_on_the_page() -> None:
     fig = alpha_curves(pd.concat([sweep(region=f"region_{i}") for i in range(6)]), hue="region", title="six")
     with house_style():
@@ -157,8 +132,6 @@ def test_any_key_can_be_swept_on_a_logarithmic_axis() -> None:
         (sweep(), {"logx": True}, "'alpha' must hold positive numbers"),
         (sweep().assign(alpha=np.nan), {}, "'alpha' must hold finite numbers"),
         (sweep().assign(aae="fast"), {}, "must hold numbers"),
-        (sweep(lambda_sb=5), {"hue": "lambda_sb", "highlight": 6}, r"`highlight`.*'6'.*allowed: 5"),
-        (sweep(), {"band": pd.DataFrame({"alpha": [0.0]})}, "unknown column 'aae_low'"),
     ],
 )
 def test_unusable_tables_are_named_in_one_line(
@@ -208,12 +181,6 @@ def test_family_legend_is_outside_the_panels() -> None:
     assert box.x0 > max(ax.get_window_extent().x1 for ax in fig.axes) and box.x1 <= fig.bbox.x1
 
 
-def test_family_of_one_method_is_solid() -> None:
-    table = family_table((0.1, 0.2), ("tvl1",)).drop(columns="method")
-    fig = line_family(table, x="theta", family="lambda", method_column=None, markers=("*", "o"))
-    assert [(a.get_marker(), a.get_linestyle()) for a in fig.axes[0].lines] == [("*", "-"), ("o", "-")]
-
-
 def test_methods_the_paper_lacks_get_styles_of_their_own() -> None:
     methods = ("tvl1", "opencv", "tvl1_sb", "skimage")
     fig = line_family(family_table((0.1,), methods), x="theta", family="lambda")
@@ -259,12 +226,11 @@ def test_family_keeps_gaps_and_refuses_doubles() -> None:
     table.loc[3, "aepe"] = np.nan
     ax = line_family(table, x="theta", family="lambda").axes[1]
     assert [int(np.isnan(np.asarray(line.get_ydata(), dtype=float)).sum()) for line in ax.lines] == [0, 1]
-    with pytest.raises(InputError, match="several rows share theta = 0"):
+    with pytest.raises(InputError, match="several rows with method = tvl1 share theta = 0"):
         line_family(
             table[table["lambda"] == 0.1].assign(method="tvl1").pipe(lambda t: pd.concat([t, t])),
             x="theta",
             family="lambda",
-            method_column=None,
         )
 
 
@@ -303,7 +269,7 @@ def test_heat_map_shows_missing_and_failed_cells_as_gaps() -> None:
     table = grid_table()
     table = table[~((table.alpha == 1.0) & (table.lambda_sb == 10))]
     table.loc[(table.alpha == 1.2) & (table.lambda_sb == 5), "aae"] = np.inf
-    ax = panels(heat_map(table, x="alpha", y="lambda_sb", value=["aae"]))[0]
+    ax = panels(heat_map(table, x="alpha", y="lambda_sb"))[0]
     cells = np.ma.filled(ax.images[0].get_array(), np.nan)
     assert np.argwhere(np.isnan(cells)).tolist() == [[1, 2], [2, 1]]
     assert lines(ax, "minimum")[0].get_xydata().tolist() == [[1.0, 1.0]]
@@ -311,7 +277,7 @@ def test_heat_map_shows_missing_and_failed_cells_as_gaps() -> None:
 
 
 def test_heat_map_without_a_finite_error_says_so() -> None:
-    ax = panels(heat_map(grid_table().assign(aae=np.nan), x="alpha", y="lambda_sb", value=["aae"]))[0]
+    ax = panels(heat_map(grid_table().assign(aae=np.nan), x="alpha", y="lambda_sb"))[0]
     assert ax.get_title() == "no finite error" and not ax.lines
 
 
