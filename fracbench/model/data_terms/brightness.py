@@ -1,4 +1,4 @@
-"""The paper's residual: the difference of brightness, linearised."""
+"""Brightness constancy: the difference of brightness between the frames, linearised at a flow."""
 
 from __future__ import annotations
 
@@ -18,20 +18,11 @@ class Residual(Protocol):
     """The interface of the data term at a scale: the residual, linearised at a flow."""
 
     def at(self, u0: Array) -> Linearization:
-        """Return the residual at `u0`, (2, H, W); it is overwritten by the next call."""
-        ...
+        """Return the residual linearised at `u0`, (2, H, W); the next call overwrites it."""
 
 
-class Brightness:
-    """The paper's residual: the difference of brightness, linearised.
-
-    Parameters
-    ----------
-    frame0, frame1 : ndarray, shape (H, W)
-        The frames at a scale, 0..255.
-    params : FlowParams
-        Factor on the image gradient.
-    """
+class Brightness(Residual):
+    """The paper's residual, with central differences of frame 1; the frames are those of a scale, 0..255."""
 
     def __init__(self, frame0: Array, frame1: Array, params: FlowParams) -> None:
         self._frame0 = frame0
@@ -53,13 +44,6 @@ class TwoSided(Brightness):
     """The difference of brightness, linearised with the mean of both frames' five-point derivatives.
 
     Where the flow is right, ``grad I0(x) = grad I1(x + u)``, and the mean of the two has less noise than either.
-
-    Parameters
-    ----------
-    frame0, frame1 : ndarray, shape (H, W)
-        The frames at a scale.
-    params : FlowParams
-        Factor on the image gradient.
     """
 
     def __init__(self, frame0: Array, frame1: Array, params: FlowParams) -> None:
@@ -71,26 +55,16 @@ class TwoSided(Brightness):
         return five_point_gradient(frame, scale)
 
     def at(self, u0: Array) -> Linearization:
-        """Average the gradients of both frames; see `fracbench.model.data_terms.brightness.Residual`."""
+        """Average the gradients of both frames; see `Residual`."""
         linear = super().at(u0)
         parallel_for(lambda a, b: average_gradients(self._gradient0, u0, *linear, a, b), u0.shape[1])
         return linear
 
 
 def five_point_gradient(image: Array, scale: float = 1.0) -> Array:
-    """Return derivatives by the stencil (1, -8, 0, 8, -1) / 12, of fourth order, borders repeated.
+    """Return `scale` times the x and y derivatives of an image (H, W): shape (2, H, W), in its precision.
 
-    Parameters
-    ----------
-    image : ndarray, shape (H, W)
-        Image.
-    scale : float, optional
-        Factor on the result.
-
-    Returns
-    -------
-    ndarray, shape (2, H, W)
-        x and y derivative, in the precision of `image`.
+    The stencil is (1, -8, 0, 8, -1) / 12, of fourth order; borders are repeated.
     """
     stencil = scale * np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12.0
     return np.stack([scipy.ndimage.correlate1d(image, stencil, axis, mode="nearest") for axis in (1, 0)])
@@ -98,19 +72,9 @@ def five_point_gradient(image: Array, scale: float = 1.0) -> Array:
 
 @jit
 def average_gradients(gradient0: Array, u0: Array, rho_c: Array, gradient: Array, start: int, stop: int) -> None:
-    """Replace a linearisation's gradient by its mean with that of frame 0; the residual at `u0` stays.
+    """Replace the gradient of a linearisation at `u0` by its mean with that of frame 0, in rows `start` to `stop`.
 
-    Parameters
-    ----------
-    gradient0 : ndarray, shape (2, H, W)
-        Gradient of frame 0.
-    u0 : ndarray, shape (2, H, W)
-        The flow that the residual was linearised at.
-    rho_c, gradient : ndarray, shapes (H, W) and (2, H, W)
-        From `fracbench.model.warping.linearize`, overwritten where there is data: it has set both parts of the
-        gradient to 0 elsewhere.
-    start, stop : int
-        The rows of the image to take.
+    The residual at `u0` stays. Pixels without data, at which `linearize` has set the gradient to 0, stay too.
     """
     for i in range(start, stop):
         for j in range(rho_c.shape[1]):

@@ -1,4 +1,4 @@
-"""The data term that a set of parameters asks for."""
+"""Choice of the data term by the parameters."""
 
 from __future__ import annotations
 
@@ -20,15 +20,8 @@ def residual_factory(
 ) -> Callable[[Array, Array, FlowParams], Residual]:
     """Return the function that makes the residual of each scale from both frames there.
 
-    Textures are taken at full resolution and follow the frames down the pyramid (Wedel et al. 2009): a coarse
-    scale's own would lack the structure by which large motions are found.
-
-    Parameters
-    ----------
-    frame0, frame1 : ndarray, shape (H, W)
-        The original frames, from which visibility is computed even if the data are textures.
-    params : FlowParams
-        Parameters.
+    Textures are taken at full resolution and follow the frames down the pyramid (Wedel et al. 2009): textures of a
+    coarse scale would lack the structure by which large motions are found.
     """
     if not params.texture:
         return make_residual
@@ -42,7 +35,10 @@ def residual_factory(
 def make_residual(
     frame0: Array, frame1: Array, params: FlowParams, images: tuple[Array, Array] | None = None
 ) -> Residual:
-    """Return the data term of a scale that `params` ask for, of the frames or of `images` in their place."""
+    """Return the data term of a scale: of its frames, or of two `images` in their place.
+
+    Visibility is that of the frames in any case.
+    """
     plain = TwoSided if params.derivatives == "both" else Brightness
     kind = ImageAndGradient if params.lambda_gradient else plain
     found: Residual = kind(*(images or (frame0, frame1)), params)

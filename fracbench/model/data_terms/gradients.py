@@ -4,22 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from fracbench.model.data_terms.brightness import Brightness, TwoSided
+from fracbench.model.data_terms.brightness import Brightness, Residual, TwoSided
 from fracbench.model.kernels.arrays import Array
 from fracbench.model.params import FlowParams
 from fracbench.model.warping import Linearization, central_gradient
 
 
-class ImageAndGradient:
-    """The residuals of the image and of its two derivatives; see `fracbench.model.data_terms.brightness.Residual`.
-
-    Parameters
-    ----------
-    frame0, frame1 : ndarray, shape (H, W)
-        The frames at a scale.
-    params : FlowParams
-        Whose derivatives, and the factor on them.
-    """
+class ImageAndGradient(Residual):
+    """The residuals of the frames of a scale and of their two derivatives: arrays with three channels first."""
 
     def __init__(self, frame0: Array, frame1: Array, params: FlowParams) -> None:
         derivatives = zip(central_gradient(frame0), central_gradient(frame1), strict=True)
@@ -30,7 +22,7 @@ class ImageAndGradient:
         self._linear = Linearization(rho_c, gradient)
 
     def at(self, u0: Array) -> Linearization:
-        """Return arrays with the channels first."""
+        """Linearise each channel; see `Residual`."""
         for k, channel in enumerate(self._channels):
             self._linear.rho_c[k], self._linear.gradient[k] = channel.at(u0)
         return self._linear

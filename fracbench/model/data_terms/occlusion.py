@@ -10,47 +10,35 @@ from fracbench.model.kernels.arrays import Array
 from fracbench.model.params import FlowParams
 from fracbench.model.warping import Linearization
 
+#: Standard deviations of visibility: divergence of the flow, and residual in gray levels (Sand and Teller 2008).
+DIVERGENCE, RESIDUAL = 0.3, 20.0
+
 
 class Visibility:
-    """How likely each pixel of a scale is seen in both frames; see `visibility`.
-
-    Parameters
-    ----------
-    frame0, frame1 : ndarray, shape (H, W)
-        The frames at the scale.
-    params : FlowParams
-        Factor on the image gradient.
-    """
+    """The weights `visibility` of the pixels of a scale, for any flow between its frames."""
 
     def __init__(self, frame0: Array, frame1: Array, params: FlowParams) -> None:
         self._data = Brightness(frame0, frame1, params)
 
     def of(self, flow: Array) -> Array:
-        """Return weights in (0, 1], shape (H, W), by a flow (2, H, W)."""
+        """Return the weights for a flow (2, H, W): in (0, 1], shape (H, W)."""
         linear = self._data.at(flow)
         difference = linear.rho_c + (linear.gradient * flow).sum(axis=0)
         return visibility(flow, difference)
 
 
-class OcclusionWeighted:
+class OcclusionWeighted(Residual):
     """A data term weighted by visibility w at each pixel, ``lambda |w rho|``.
 
     The v-steps need not know w. Before there is a flow, on the coarsest scale, w = 1: moving objects differ
     between the frames and would be taken for occluded.
-
-    Parameters
-    ----------
-    data : Residual
-        The data.
-    visibility : Visibility
-        Of the scale.
     """
 
     def __init__(self, data: Residual, visibility: Visibility) -> None:
         self._data, self._visibility = data, visibility
 
     def at(self, u0: Array) -> Linearization:
-        """Weigh the residual and its gradient by visibility at `u0`; see `data_terms.brightness.Residual`."""
+        """Multiply the residual and its gradient by the visibility at `u0`; see `Residual`."""
         linear = self._data.at(u0)
         if u0.any():
             weights = self._visibility.of(u0)
@@ -59,12 +47,8 @@ class OcclusionWeighted:
         return linear
 
 
-#: Standard deviations of visibility: divergence of the flow, and residual in gray levels (Sand and Teller 2008).
-DIVERGENCE, RESIDUAL = 0.3, 20.0
-
-
 def visibility(flow: Array, residual: Array) -> Array:
-    """Return how likely each pixel is seen in frame 1 as well: 1 where flow and frames agree.
+    """Return a weight in (0, 1] at each pixel: 1 where flow and frames agree, near 0 where it is hidden.
 
     ``exp(-min(0, div u)^2 / (2 s_d^2) - residual^2 / (2 s_r^2))``: flow converges where one surface covers
     another.
@@ -72,14 +56,8 @@ def visibility(flow: Array, residual: Array) -> Array:
     Parameters
     ----------
     flow : ndarray, shape (2, H, W)
-        Flow.
     residual : ndarray, shape (H, W)
         ``I1(x + u) - I0(x)``, gray levels.
-
-    Returns
-    -------
-    ndarray, shape (H, W)
-        In (0, 1].
     """
     converging = np.minimum(slope(flow[0], 1) + slope(flow[1], 0), 0.0)
     exponent = converging**2 / (2.0 * DIVERGENCE**2) + residual**2 / (2.0 * RESIDUAL**2)

@@ -10,22 +10,14 @@ from fracbench.model.regularizers import dual_ascent, dual_primal
 
 #: Tightness of S in ``min_S TV(S) + |S - I|^2 / (2 THETA)``, gray levels: Wedel's 1/8 for intensities in -1..1.
 THETA = 16.0
-#: Chambolle's steps, and their length.
+#: Number and length of Chambolle's steps.
 ITERATIONS, TAU = 100, 0.25
 
 
 def structure(image: Array) -> Array:
     """Return the image without its texture: S of Rudin, Osher and Fatemi's model, by Chambolle's dual.
 
-    Parameters
-    ----------
-    image : ndarray, shape (H, W)
-        Gray levels, 0..255.
-
-    Returns
-    -------
-    ndarray, shape (H, W)
-        In the precision of `image`.
+    The image holds gray levels in 0..255, (H, W); the result has its precision.
     """
     smooth, dual = image.copy(), np.zeros((2, *image.shape), image.dtype)
     for _ in range(ITERATIONS):
@@ -37,17 +29,8 @@ def structure(image: Array) -> Array:
 def textures(frame0: Array, frame1: Array, share: float) -> tuple[Array, Array]:
     """Return ``I - share S(I)`` of both frames, together stretched to 0..255, so that lambda keeps its scale.
 
-    Parameters
-    ----------
-    frame0, frame1 : ndarray, shape (H, W)
-        Gray levels, 0..255; never changed.
-    share : float
-        How much of the structure S is removed, in [0, 1].
-
-    Returns
-    -------
-    tuple of ndarray
-        New arrays, in the precision of the frames.
+    The frames hold gray levels in 0..255, (H, W); `share`, in [0, 1], is the part of the structure S that is
+    removed. The results are new arrays in the precision of the frames.
     """
     kept = frame0.dtype.type(share)
     first, second = (frame - kept * structure(frame) for frame in (frame0, frame1))

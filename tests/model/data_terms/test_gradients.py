@@ -27,7 +27,7 @@ def frames():
 
 
 def residuals(rng, shape, channels=3):
-    """Steep and flat gradients, small and large residuals, and a channel that says nothing at some pixels."""
+    """Steep and flat gradients, small and large residuals, and a channel without gradient at some pixels."""
     gradient = rng.normal(0.0, 3.0, (channels, 2, *shape)) * rng.integers(0, 2, (channels, 1, *shape))
     return rng.normal(size=(channels, *shape)) * 10.0 ** rng.integers(-1, 2, (channels, *shape)), gradient
 
@@ -41,7 +41,7 @@ def take(u, linear, lambdas=LAMBDAS, rounds=400, c=None):
 
 
 def test_the_v_step_minimises_the_sum_of_the_residuals(rng):
-    """Against a bounded least-squares solver of the dual, at each pixel: w is the prox of F with the step."""
+    """w is the proximal point of F with the step, found at each pixel by bounded least squares on the dual."""
     shape = (4, 5)
     u, linear = rng.normal(size=(2, *shape)), residuals(rng, shape)
     w, c, duals = take(u, linear)

@@ -139,7 +139,7 @@ def test_a_translation_is_found_with_everything_on(frames):
 
 @pytest.mark.parametrize("gradients", [False, True])
 def test_transposing_the_frames_transposes_the_flow(frames, gradients, monkeypatch):
-    """With gradients where each v-step is solved: few sweeps depend on the order of the channels, x, y."""
+    """With gradients each v-step is solved: the result of few sweeps depends on the order of the channels x, y."""
     monkeypatch.setattr("fracbench.model.v_steps.DUAL_SWEEPS", 1000)
     values = {**EVERYTHING, "lambda_gradient": 0.3 * gradients, **SHORT, "max_iter": 3}
     transposed = flow([f.T.copy() for f in frames], **values)
@@ -148,9 +148,9 @@ def test_transposing_the_frames_transposes_the_flow(frames, gradients, monkeypat
 
 
 def test_turning_the_frames_round_turns_the_flow(frames):
-    """By half a turn, at one scale and on an even margin; see the same test of the method itself."""
+    """The turn is by 180 degrees, at one scale and with a uniform margin; the method has the same test."""
     framed = [np.pad(frame, 8, constant_values=100.0) for frame in frames]
-    values = {**EVERYTHING, "n_scales": 1, "texture": 0.0}  # whose differences are forward ones
+    values = {**EVERYTHING, "n_scales": 1, "texture": 0.0}  # a turn makes its forward differences backward ones
     there = flow([frame[::-1, ::-1].copy() for frame in framed], **values)
     np.testing.assert_allclose(there, -flow(framed, **values)[:, ::-1, ::-1], atol=1e-6)
 
@@ -178,7 +178,7 @@ def test_bad_values_are_refused(values, message):
 
 
 def test_textures_are_taken_once_and_followed_down_the_pyramid(frames):
-    """With no guides, at each scale the data are those of a run on the textures themselves."""
+    """Without guides, the data at each scale are those of a run on the textures themselves."""
     own = textures(*pyramid.stretch(*frames, np.dtype(float)), 0.9)
     for more in ({}, {"n_scales": 1}, {"lambda_gradient": 0.5, "derivatives": "both"}):
         values = {**all_orders(1.1), **more}
@@ -258,7 +258,7 @@ def test_where_there_is_no_flow_yet_all_is_seen(frames):
 
 
 def test_without_visibility_all_neighbours_count_alike(frames, monkeypatch):
-    """The filter's numbers are those of a visibility that is 1 everywhere; with it they are others."""
+    """Without visibility the filter gives the same flow as with visibility 1 everywhere; with it, another."""
     u = hidden()
     filters = {name: FlowParams(dtype="float64", weighted_radius=2, occlusion=name) for name in ("median", "none")}
     found = {name: flow_filter(*frames, params)(u) for name, params in filters.items()}

@@ -25,7 +25,7 @@ def rof(u, image):
 
 
 def test_the_structure_has_the_least_energy(image, monkeypatch):
-    """Between the bounds that FISTA on the dense dual gives."""
+    """The energy lies between the bounds of FISTA on the dense dual."""
     lower, upper = ref.denoising_bounds(ref.dense_gradient("natural", 1.0, image.shape), [1.0], image, THETA)
     assert upper - lower < 1e-6 * upper
     assert rof(structure(image), image) == pytest.approx(upper, rel=2e-3)
@@ -68,7 +68,7 @@ def test_textures_are_what_is_left_stretched_together(image):
 
 
 def test_light_that_is_added_is_structure(image):
-    """With all the structure removed a brighter frame 1 is no other frame."""
+    """With all structure removed, more brightness does not change frame 1."""
     one, other = textures(image, image + 30.0, 1.0)
     np.testing.assert_allclose(one, other, atol=1e-9)
 
