@@ -11,7 +11,7 @@ from fracbench.model.kernels.jit import jit
 from fracbench.model.kernels.threads import parallel_map
 from fracbench.model.warping import resize
 
-#: sigma_0 of section 3.4: blur of the unit-scale image from which sigma(eta) follows.
+#: sigma_0 of section 3.4: standard deviation of the blur at unit scale, from which sigma(eta) follows.
 SIGMA_ZERO = 0.6
 #: A scale is worth computing while the image's diagonal is at least this long, pixels (IPOL's rule)...
 MIN_DIAGONAL = 16
@@ -22,21 +22,10 @@ TRUNCATE = 5.0
 
 
 def scale_shapes(shape: tuple[int, int], eta: float, n_scales: int | None) -> list[tuple[int, int]]:
-    """Return the image sizes from finest to coarsest.
+    """Return the image sizes ``(H, W)`` from finest to coarsest.
 
-    Parameters
-    ----------
-    shape : tuple of int
-        ``(H, W)`` of the frames.
-    eta : float
-        Downsampling factor, in (0, 1).
-    n_scales : int or None
-        Number of scales wanted; None for all that the image allows.
-
-    Returns
-    -------
-    list of tuple of int
-        At least one size, fewer than `n_scales` if the image does not allow more.
+    There are at most `n_scales`, or as many as the image allows (None), but at least one. `eta`, in (0, 1), is the
+    downsampling factor.
     """
     allowed = 1 + max(0, math.floor(math.log(math.hypot(*shape) / MIN_DIAGONAL) / math.log(1.0 / eta)))
     wanted = allowed if n_scales is None else min(n_scales, allowed)
@@ -50,20 +39,7 @@ def scale_shapes(shape: tuple[int, int], eta: float, n_scales: int | None) -> li
 
 
 def stretch(frame0: Array, frame1: Array, dtype: np.dtype) -> tuple[Array, Array]:
-    """Stretch both frames together to 0..255 (Algorithm 1); equal constants are left as they are.
-
-    Parameters
-    ----------
-    frame0, frame1 : ndarray, shape (H, W)
-        Frames; never changed.
-    dtype : dtype
-        Precision of the result.
-
-    Returns
-    -------
-    tuple of ndarray
-        New arrays.
-    """
+    """Return copies of both frames (H, W), stretched together to 0..255 (Algorithm 1); equal constants stay."""
     offset, gain = scaling(frame0, frame1)
     first, second = (((f.astype(np.float64) - offset) * gain).astype(dtype) for f in (frame0, frame1))
     return first, second
@@ -77,19 +53,9 @@ def scaling(frame0: Array, frame1: Array) -> tuple[float, float]:
 
 
 def smooth(image: Array, sigma: float) -> Array:
-    """Convolve with a Gaussian of standard deviation `sigma` pixels; mirrored borders; `sigma` 0 does nothing.
+    """Return an image (H, W) convolved with a Gaussian of standard deviation `sigma` pixels, borders mirrored.
 
-    Parameters
-    ----------
-    image : ndarray, shape (H, W)
-        Image; never changed.
-    sigma : float
-        Standard deviation, pixels.
-
-    Returns
-    -------
-    ndarray, shape (H, W)
-        In the precision of `image`.
+    The result has the precision of `image`; with ``sigma = 0`` it is `image` itself.
     """
     if sigma == 0.0:
         return image
@@ -112,7 +78,7 @@ def _mirrored(k: int, n: int) -> int:
 def _smooth(image: Array, half: Array, out: Array) -> None:
     """Convolve columns and rows with the symmetric kernel whose right half is `half`.
 
-    SciPy's filter, which computes line by line in float64, takes ten times as long.
+    SciPy's filter computes line by line in float64 and takes ten times as long.
     """
     height, width = image.shape
     radius = half.size - 1
@@ -137,21 +103,9 @@ def _smooth(image: Array, half: Array, out: Array) -> None:
 
 
 def build(image: Array, shapes: list[tuple[int, int]], eta: float) -> list[Array]:
-    """Return the pyramid of `image`: each scale the one before it, smoothed by sigma(eta) and resampled.
+    """Return the pyramid of an image from finest to coarsest, with the sizes `shapes` (`scale_shapes`).
 
-    Parameters
-    ----------
-    image : ndarray, shape (H, W)
-        Finest scale.
-    shapes : list of tuple of int
-        From `scale_shapes`.
-    eta : float
-        Downsampling factor: ``sigma(eta) = sigma_0 sqrt(eta^-2 - 1)``.
-
-    Returns
-    -------
-    list of ndarray
-        From finest to coarsest.
+    Each scale is the one before it, smoothed by ``sigma(eta) = sigma_0 sqrt(eta^-2 - 1)`` and resampled.
     """
     sigma = SIGMA_ZERO * math.sqrt(eta**-2 - 1.0)
     levels = [image]
@@ -161,22 +115,10 @@ def build(image: Array, shapes: list[tuple[int, int]], eta: float) -> list[Array
 
 
 def upsample_flow(flow: Array, shape: tuple[int, int], gain: float | None = None) -> Array:
-    """Carry a flow to the next finer scale: sampled bicubically, displacements scaled.
+    """Return a flow (2, h, w), in pixels of its scale, as the flow (2, H, W) of a finer scale of size `shape`.
 
-    Parameters
-    ----------
-    flow : ndarray, shape (2, h, w)
-        Flow at the coarse scale, in its pixels.
-    shape : tuple of int
-        ``(H, W)`` of the fine scale.
-    gain : float or None, optional
-        Factor on both components; None for the true ratios of the sizes, ``W/w`` and ``H/h``
-        (errata, item 6).
-
-    Returns
-    -------
-    ndarray, shape (2, H, W)
-        Flow in pixels of the fine scale.
+    It is sampled bicubically, and both components are multiplied by `gain`: by default the ratios of the sizes,
+    ``W/w`` and ``H/h`` (errata, item 6).
     """
     ratios = (shape[1] / flow.shape[2], shape[0] / flow.shape[1]) if gain is None else (gain, gain)
     fine = aligned((2, *shape), flow.dtype)

@@ -16,14 +16,12 @@ FLAT, EDGE, CORNER, TEXTURE = range(len(CLASSES))
 #: Standard deviations in pixels: of the derivatives, of the tensor, and of the neighbourhood that tells a corner
 #: from texture.
 DERIVATIVE, NEAR, WIDE = 1.0, 1.5, 4.0
-#: Structure exceeds so many times the noise (3 pixels in 10,000 of pure noise do), and ...
-ABOVE_NOISE = 6.0
-#: ... this part of the energy that a twentieth of the image's pixels exceed: a seventh of their gradient.
-ABOVE_WEAK = 0.02
-#: Where the smaller eigenvalue is up to this part of the larger there is one direction.
+#: A pixel has structure if its larger eigenvalue exceeds that of noise by this factor (as 3 in 10,000 pixels of
+#: pure noise do), and the 95 % quantile over the image times ABOVE_WEAK (a gradient of a seventh).
+ABOVE_NOISE, ABOVE_WEAK = 6.0, 0.02
+#: It has one direction if the smaller eigenvalue is at most this part of the larger.
 ONE_DIRECTION = 0.1
-#: Where more of the neighbourhood than this varies in two directions there is texture; about the tip of a single
-#: right angle it is a quarter.
+#: It is texture if more than this part of its neighbourhood has two directions; one right angle fills a quarter.
 CROWDED = 0.4
 
 _TRUNCATE = 3.0
@@ -40,15 +38,15 @@ def structure_classes(image: Any) -> NDArray[np.uint8]:
     tensor is ``J = G_1.5 * (g g^T)``, with eigenvalues ``l1 >= l2 >= 0``. Noise of standard deviation sigma gives
     each derivative the variance ``n^2 = sigma^2 |dG_1/dx|^2``. A pixel is
 
-    * *flat* where ``l1 <= max(6 n^2, .02 q95(l1))``, with q95 the 95 % quantile over the image;
-    * else *busy*, of two directions, where ``l2 > max(6 n^2, .1 l1)``;
-    * *texture* if it is not flat, and of the pixels about it more than .4 are busy: ``G_4 * busy > .4``;
+    * *flat* if ``l1 <= max(6 n^2, 0.02 q95(l1))``, with q95 the 95 % quantile over the image;
+    * else *busy*, with two directions, if ``l2 > max(6 n^2, 0.1 l1)``;
+    * *texture* if it is not flat and more than 0.4 of the pixels about it are busy: ``G_4 * busy > 0.4``;
     * else *corner* if busy, *edge* if not.
 
     Sigma comes from `noise_level`: noise all over the image is not structure, noise on a part of it is texture.
-    Only ratios of gray levels enter: a gain and an offset change nothing. Flipping the image flips the classes
-    exactly; transposing it, up to pixels within rounding (1e-12 of the image's largest) of a threshold. Beyond
-    its sides the image goes on as its mirror image.
+    A gain and an offset of the gray levels change nothing. Flipping the image flips the classes exactly;
+    transposing it transposes them, but for pixels within rounding (1e-12 of the largest value) of a threshold. The
+    image is mirrored beyond its sides.
 
     Parameters
     ----------
@@ -58,7 +56,7 @@ def structure_classes(image: Any) -> NDArray[np.uint8]:
     Returns
     -------
     ndarray of uint8, (H, W)
-        Indices into `CLASSES`. All flat if the image is constant, up to the rounding of its type.
+        Indices into `CLASSES`; all flat if the image is constant up to the rounding of its type.
 
     Raises
     ------
@@ -86,17 +84,8 @@ def noise_level(image: Any) -> float:
 
     The mixed second difference ``N = I * (1, -2, 1)^T (1, -2, 1)`` vanishes on ramps and on edges along an axis,
     and has the standard deviation 6 sigma on white Gaussian noise: sigma is the lower quartile of ``|N|`` over
-    that of a normal variable of standard deviation 6. Detail on half of the image at most multiplies it by 2.1.
-
-    Parameters
-    ----------
-    image : array_like of real numbers, (H, W)
-        Gray levels.
-
-    Returns
-    -------
-    float
-        In the image's gray levels.
+    that of a normal variable of standard deviation 6. Detail on up to half of the image multiplies the estimate by
+    2.1 at most. The image, (H, W), and the result are in gray levels.
     """
     from scipy.ndimage import correlate1d
 
@@ -106,7 +95,7 @@ def noise_level(image: Any) -> float:
 
 
 def _normalised(image: Any) -> Plane | None:
-    """Return the gray levels stretched to 0..1, or None if there is but one."""
+    """Return the gray levels stretched to 0..1, or None if all are equal."""
     given = np.asarray(image)
     if given.ndim != 2 or given.size == 0:
         raise InputError(f"the image must have the shape (H, W), not {given.shape}")

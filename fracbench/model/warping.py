@@ -29,20 +29,7 @@ class Linearization(NamedTuple):
 
 
 def central_gradient(image: Array, scale: float = 1.0) -> Array:
-    """Return central differences with Neumann borders.
-
-    Parameters
-    ----------
-    image : ndarray, shape (H, W)
-        Image.
-    scale : float, optional
-        Factor on the result (1 is the derivative).
-
-    Returns
-    -------
-    ndarray, shape (2, H, W)
-        x and y derivative.
-    """
+    """Return `scale` times the central differences of an image (H, W) in x and y, (2, H, W); Neumann borders."""
     padded = np.pad(image, 1, mode="edge")
     half = image.dtype.type(0.5 * scale)
     gradient = np.empty((2, *image.shape), image.dtype)
@@ -54,18 +41,7 @@ def central_gradient(image: Array, scale: float = 1.0) -> Array:
 
 @jit
 def cubic_weights(t: float) -> tuple[float, float, float, float]:
-    """Return the weights of Keys' cubic (a = -1/2) for the samples at -1, 0, 1, 2 and a point `t` in [0, 1).
-
-    Parameters
-    ----------
-    t : float
-        Position between sample 0 and sample 1.
-
-    Returns
-    -------
-    tuple of float
-        Four weights with sum 1.
-    """
+    """Return the weights of Keys' cubic (a = -1/2) for the samples at -1, 0, 1, 2 and a point `t` in [0, 1)."""
     t2 = t * t
     t3 = t2 * t
     return (
@@ -78,20 +54,7 @@ def cubic_weights(t: float) -> tuple[float, float, float, float]:
 
 @jit
 def interleave(image: Array, gradient: Array) -> Array:
-    """Return an image and its gradient with the three numbers of a pixel side by side.
-
-    Parameters
-    ----------
-    image : ndarray, shape (H, W)
-        Image.
-    gradient : ndarray, shape (2, H, W)
-        Its gradient.
-
-    Returns
-    -------
-    ndarray, shape (H, 3 W), C-contiguous
-        Columns ``3 j``, ``3 j + 1``, ``3 j + 2`` hold pixel j: image, x and y derivative.
-    """
+    """Return an image (H, W) and its gradient (2, H, W) with a pixel's three numbers side by side: (H, 3 W)."""
     height, width = image.shape
     samples = np.empty((height, 3 * width), image.dtype)
     for i in range(height):
@@ -106,26 +69,11 @@ def interleave(image: Array, gradient: Array) -> Array:
 def linearize(
     frame0: Array, samples1: Array, u0: Array, rho_c: Array, gradient: Array, start: int, stop: int
 ) -> None:
-    """Warp frame 1 and its gradient by `u0` and form the residual's constant part.
+    """Write the `Linearization` at the flow `u0`, (2, H, W), to rows `start` to `stop` of `rho_c` and `gradient`.
 
-    A pixel whose 4 x 4 stencil leaves the image counts as 0 in the frame and in the gradient, so that the
-    data term is silent there.
-
-    Parameters
-    ----------
-    frame0 : ndarray, shape (H, W)
-        Frame 0 at this scale.
-    samples1 : ndarray, shape (H, 3 W), C-contiguous
-        Frame 1 and its gradient, from `interleave`: the four pixels of a row of a stencil are twelve numbers
-        in a row, which the weights of the stencil's rows act on at once.
-    u0 : ndarray, shape (2, H, W)
-        Flow to linearise at, pixels.
-    rho_c : ndarray, shape (H, W)
-        Output, see `Linearization`.
-    gradient : ndarray, shape (2, H, W)
-        Output, see `Linearization`.
-    start, stop : int
-        The rows of the image to take.
+    Frame 1 and its gradient, `samples1`, come from `interleave`: the four pixels of a row of a stencil are twelve
+    numbers in a row, on which the weights of the stencil's rows act at once. A pixel whose 4 x 4 stencil leaves
+    the image counts as 0 in frame 1 and in the gradient, which switches the data term off.
     """
     height, width = frame0.shape
     left, top = np.empty(width, np.intp), np.empty(width, np.intp)
@@ -163,20 +111,10 @@ def linearize(
 
 @jit
 def _stencils(u: Array, at: float, step: float, n: int, sample: NDArray[np.intp], weights: Array) -> None:
-    """Place the stencils of a row along one axis: pixel j is sampled at ``at + step j + u(j)``.
+    """Place the stencils of a row along an axis of length `n`: pixel j is sampled at ``at + step j + u(j)``.
 
-    Parameters
-    ----------
-    u : ndarray, shape (W,)
-        Displacements along the axis.
-    at, step : float
-        See above.
-    n : int
-        Length of the axis.
-    sample : ndarray, shape (W,), intp
-        The second of the four samples, overwritten; 0 where the stencil leaves the image.
-    weights : ndarray, shape (4, W)
-        Their weights, overwritten.
+    `sample` receives the second of the four samples, or 0 where the stencil leaves the image; `weights`, (4, W),
+    their weights.
     """
     for j in range(u.size):
         x = at + step * j + u[j]
@@ -205,19 +143,9 @@ def _resize_rows(image: Array, ratio: float, out: Array) -> None:
 
 
 def resize(image: Array, shape: tuple[int, int]) -> Array:
-    """Sample `image` bicubically on another grid; pixel (0, 0) stays, borders are repeated.
+    """Return an image (H, W) sampled bicubically on a grid of the size `shape` = (h, w), borders repeated.
 
-    Parameters
-    ----------
-    image : ndarray, shape (H, W)
-        Image.
-    shape : tuple of int
-        ``(h, w)`` of the result, whose pixel (i, j) is the image at ``(i H / h, j W / w)``.
-
-    Returns
-    -------
-    ndarray, shape `shape`
-        In the precision of `image`.
+    Pixel (i, j) of the result is the image at ``(i H / h, j W / w)``; the precision is that of the image.
     """
     rows = np.empty((shape[0], image.shape[1]), image.dtype)
     _resize_rows(image, image.shape[0] / shape[0], rows)

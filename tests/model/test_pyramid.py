@@ -119,7 +119,7 @@ def gaussian_by_hand(image, sigma, axis):
 @pytest.mark.parametrize("shape", [(9, 12), (30, 21), (4, 5), (1, 7), (7, 1)])
 @pytest.mark.parametrize("sigma", [0.6, 0.8, SIGMA_ZERO * math.sqrt(3.0), 2.5])
 def test_smoothing_is_a_gaussian_with_mirrored_borders(rng, sigma, shape, dtype):
-    """Also where the kernel is longer than the image, and meets mirror images of mirror images."""
+    """A kernel that is longer than the image meets mirror images of mirror images."""
     image = rng.uniform(0, 255, shape)
     expected = gaussian_by_hand(gaussian_by_hand(image, sigma, 0), sigma, 1)
     smoothed = smooth(image.astype(dtype), sigma)
@@ -133,7 +133,7 @@ def test_no_smoothing_leaves_the_image(rng):
 
 
 def test_pyramid_samples_where_the_flow_is_scaled():
-    """A ramp of slope 1 a fine pixel has slope W / w a coarse one, and both agree at pixel 0."""
+    """A ramp of slope 1 per fine pixel has slope W / w per coarse pixel, and both agree at pixel 0."""
     width = 61
     ramp = np.tile(np.arange(width, dtype=float), (20, 1))
     shapes = scale_shapes(ramp.shape, 0.5, 2)
@@ -147,7 +147,7 @@ def test_pyramid_samples_where_the_flow_is_scaled():
 
 
 def test_each_scale_is_smoothed_by_sigma_of_eta():
-    """A cosine of wave number k is damped by exp(-k^2 sigma^2 / 2), sigma = .6 sqrt(eta^-2 - 1)."""
+    """A cosine of wave number k is damped by exp(-k^2 sigma^2 / 2), sigma = 0.6 sqrt(eta^-2 - 1)."""
     n, eta = 96, 0.5
     k = np.pi * 12 / n  # even about the mirrored borders
     image = np.tile(np.cos(k * (np.arange(n) + 0.5)), (16, 1))

@@ -173,7 +173,7 @@ class TestLimits:
         image = np.full((16, 21), level, dtype)
         image[3, 5] = np.nextafter(image[3, 5], dtype(np.inf))
         if level == 0.0:
-            image[3, 5] = 0.0  # the next number above nothing is no rounding
+            image[3, 5] = 0.0  # the smallest number above 0 is not a rounding error of 0
         classes = structure_classes(image)
         assert classes.dtype == np.uint8
         assert classes.shape == image.shape
