@@ -12,28 +12,15 @@ if TYPE_CHECKING:
 
 
 def summarise(records: Sequence[Mapping[str, Any]], yardstick: str) -> pd.DataFrame:
-    """Return one row a contender: means over the sequences, fastest first.
+    """Return one row per contender, fastest first: the means over the sequences.
 
-    Parameters
-    ----------
-    records : sequence of mapping
-        From `fracbench.studies.race.measure.run`.
-    yardstick : str
-        The contender that times are relative to; the ratio is NaN if it did not run.
-
-    Returns
-    -------
-    pandas.DataFrame
-        ``contender, seconds, ratio, aae, aepe, peak_mib``; `seconds` is the mean over the sequences of the
-        median over the rounds, `ratio` the quotient of two such means.
+    `ratio` divides the mean seconds by those of the contender `yardstick`; it is NaN if that one did not run.
     """
     import pandas as pd
 
     table = pd.DataFrame.from_records(list(records))
     means = table.groupby("contender", sort=False)[["seconds", "aae", "aepe"]].mean()
-    means["peak_mib"] = table.groupby("contender", sort=False)["peak_mib"].max()
-    base = means["seconds"].get(yardstick, float("nan"))
-    means.insert(1, "ratio", means["seconds"] / base)
+    means.insert(1, "ratio", means["seconds"] / means["seconds"].get(yardstick, float("nan")))
     return means.sort_values("seconds").reset_index()
 
 
@@ -41,18 +28,6 @@ def error_against_time(summary: pd.DataFrame, title: str) -> Figure:
     """Draw each contender's mean AEPE against its mean time, both logarithmic: ours as discs, peers as squares.
 
     Contenders whose names differ only in alpha share a colour and a line.
-
-    Parameters
-    ----------
-    summary : pandas.DataFrame
-        From `summarise`.
-    title : str
-        Heading.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        One panel, its legend beside it.
     """
     from fracbench.figures.style import PALETTE, house_style, new_figure
 

@@ -2,41 +2,32 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from statistics import median
 from typing import Any
 
-import numpy as np
-
 from fracbench.errors import InputError, unknown_name
 from fracbench.harness.run.compute_point import point_arrays
 from fracbench.harness.run.plan import make_plan
-from fracbench.harness.run.provenance import peak_mib, reset_peak
 from fracbench.methods.registry import get_method
 from fracbench.model.params import FlowParams
 from fracbench.model.structure import CLASSES
 
 #: The contender that ratios are relative to.
 YARDSTICK = "opencv_tvl1"
+_PEERS = (
+    "opencv_tvl1", "opencv_tvl1_deep", "opencv_dis", "opencv_farneback",
+    "skimage_tvl1", "skimage_tvl1_ipol", "skimage_ilk",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Contender:
-    """A method with its parameters, under a name of its own.
+    """A registered method under the name that the table shows, and how its parameters are set.
 
-    Attributes
-    ----------
-    name : str
-        In tables.
-    method : str
-        In the registry.
-    params : mapping
-        On top of the sequence's own (Table 2) and of the method's defaults, or of the protocol's.
-    protocol : str
-        The protocol whose parameters are taken; empty for the method's own.
+    `params` go on top of the sequence's (Table 2) and the method's defaults, or of the protocol if one is named.
     """
 
     name: str
@@ -65,29 +56,10 @@ def _ours() -> list[Contender]:
     return [Contender("tvl1", "tvl1"), Contender("tvl1_sb", "tvl1_sb", fast), *fractional, *beyond]
 
 
-_PEERS = (
-    "opencv_tvl1", "opencv_tvl1_deep", "opencv_dis", "opencv_farneback",
-    "skimage_tvl1", "skimage_tvl1_ipol", "skimage_ilk",
-)  # fmt: skip
-
-
 def contenders(only: Sequence[str] = ()) -> list[Contender]:
-    """Return the contenders: ours, and the peers that are installed.
+    """Return our contenders, then the installed peers; with `only`, those whose names begin so.
 
-    Parameters
-    ----------
-    only : sequence of str, optional
-        Names, or beginnings of names; all if empty.
-
-    Returns
-    -------
-    list of Contender
-        Ours first.
-
-    Raises
-    ------
-    InputError
-        A name that none begins with; a peer named whose program is missing.
+    A name in `only` that no contender begins with, or whose program is missing, is an `InputError`.
     """
     everyone = [*_ours(), *(Contender(name, name) for name in _PEERS)]
     if not only:
@@ -110,33 +82,12 @@ def _installed(method: str) -> bool:
 
 
 def run(
-    racers: Sequence[Contender],
-    tokens: Sequence[str],
-    *,
-    repeats: int,
-    threads: int,
-    on_lap: Callable[[], None] | None = None,
+    racers: Sequence[Contender], tokens: Sequence[str], *, repeats: int, threads: int, on_lap: Callable[[], None]
 ) -> list[dict[str, Any]]:
-    """Time contenders; one record for each and each sequence.
+    """Time contenders on the sequences that `tokens` choose; return a record for each contender and sequence.
 
-    Parameters
-    ----------
-    racers : sequence of Contender
-        From `contenders`.
-    tokens : sequence of str
-        Overrides that choose the sequences.
-    repeats : int
-        Timed rounds; the median counts. A round runs every contender once on every sequence.
-    threads : int
-        Threads of the solver and of OpenCV; BLAS has one.
-    on_lap : callable, optional
-        Called after each timed estimate.
-
-    Returns
-    -------
-    list of dict
-        ``contender, sequence, seconds, aae, aepe, peak_mib, n_pixels``; the peak is what the estimate takes
-        beyond what the process held before.
+    A round runs every contender once on every sequence; the median over the rounds counts. `threads` are those of
+    the solver and of OpenCV; BLAS has one. `on_lap` is called after each timed estimate.
     """
     from threadpoolctl import threadpool_limits
 
@@ -158,27 +109,22 @@ def run(
                 for racer in racers:
                     method = get_method(racer.method)
                     params = _params(racer, plans[racer.protocol].points[i].point.canonical)
-                    reset_peak()
-                    before = peak_mib()
                     started = time.perf_counter()
                     flow = method.estimate(frame0, frame1, params).flow
                     took = time.perf_counter() - started
                     place = (racer.name, planned.labels["sequence"])
-                    if round_number:
+                    if round_number == 0:
+                        errors = flow_errors(flow[(slice(None), *inner)], truth[(slice(None), *inner)])
+                        records[place] = {
+                            "contender": racer.name,
+                            "sequence": planned.labels["sequence"],
+                            "aae": errors.aae,
+                            "aepe": errors.aepe,
+                            "n_pixels": errors.n_pixels + errors.n_unknown,
+                        }
+                    else:
                         seconds.setdefault(place, []).append(took)
-                        if on_lap is not None:
-                            on_lap()
-                    if round_number != 1:
-                        continue
-                    errors = flow_errors(flow[(slice(None), *inner)], truth[(slice(None), *inner)])
-                    records[place] = {
-                        "contender": racer.name,
-                        "sequence": planned.labels["sequence"],
-                        "aae": errors.aae,
-                        "aepe": errors.aepe,
-                        "peak_mib": float(np.maximum((peak_mib() or math.nan) - (before or math.nan), 0.0)),
-                        "n_pixels": errors.n_pixels + errors.n_unknown,
-                    }
+                        on_lap()
     return [{**record, "seconds": median(seconds[place])} for place, record in records.items()]
 
 
