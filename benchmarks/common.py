@@ -1,17 +1,15 @@
-"""Parts that the benchmarks share: the frames, the command line, the table that is printed and written."""
+"""Parts that the benchmarks share: the frames and the command line."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fracbench.commands import console
-from fracbench.commands.bench import results_stem, write_results
 from fracbench.commands.parser import Parser
 from fracbench.errors import FracbenchError, InputError
 
@@ -20,18 +18,7 @@ FIXED: dict[str, Any] = {"alpha": 1.2, "epsilon": 0.0, "n_scales": 4}
 
 
 def texture_pair(shape: tuple[int, int]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Return two 8-bit frames of smoothed noise, the second moved by (2, 1) pixels.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        ``(H, W)``.
-
-    Returns
-    -------
-    tuple of ndarray
-        Frames.
-    """
+    """Return two 8-bit frames of smoothed noise, shape (H, W), the second moved by (2, 1) pixels."""
     from scipy.ndimage import gaussian_filter
 
     noise = gaussian_filter(np.random.default_rng(0).normal(size=shape).astype(np.float32), 2.0, mode="wrap")
@@ -40,51 +27,24 @@ def texture_pair(shape: tuple[int, int]) -> tuple[NDArray[np.uint8], NDArray[np.
     return frame, np.roll(frame, (1, 2), axis=(0, 1))
 
 
-def parser(description: str | None, *, repeats: int, against: str = "", default: str = "") -> Parser:
+def parser(description: str | None, *, against: str = "", default: str = "") -> Parser:
     """Return the command line of a benchmark: overrides, ``--repeats``, and ``--threads`` or ``--jobs``.
 
-    Parameters
-    ----------
-    description : str
-        The module's docstring.
-    repeats : int
-        Timed rounds by default.
-    against : str, optional
-        ``threads`` or ``jobs``: the number that is compared with one, an option then.
-    default : str, optional
-        Overrides that apply where none are given.
-
-    Returns
-    -------
-    Parser
-        Ready to parse.
+    `against` is ``threads`` or ``jobs``, a number that is compared with one; the overrides in `default` apply if
+    none are given.
     """
     made = Parser(description=description)
     told = f" (default: {default})" if default else ", such as paths.results=FOLDER"
     made.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help=f"overrides{told}")
-    made.add_argument("--repeats", type=int, default=repeats, help=f"timed rounds (default: {repeats})")
+    made.add_argument("--repeats", type=int, default=5, metavar="N", help="timed rounds (default: 5)")
     if against:
-        made.add_argument(f"--{against}", type=int, default=2, help=f"{against}, compared with one (default: 2)")
+        text = f"number of {against} that is compared with one (default: 2)"
+        made.add_argument(f"--{against}", type=int, default=2, metavar="N", help=text)
     return made
 
 
 def run(work: Callable[[argparse.Namespace], None], parser: Parser, argv: Sequence[str]) -> int:
-    """Parse the words of a command line and call `work`; an input error is one line and exit code 2.
-
-    Parameters
-    ----------
-    work : callable
-        Takes the arguments.
-    parser : Parser
-        See `parser`.
-    argv : sequence of str
-        Words without the program's name.
-
-    Returns
-    -------
-    int
-        Exit code: 0 done, 2 bad input.
-    """
+    """Parse `argv` and call `work`; return 0, or 2 after an input error, which is printed in one line."""
     parser.set_defaults(parser=parser)
     try:
         arguments = parser.parse_words(argv)
@@ -93,16 +53,6 @@ def run(work: Callable[[argparse.Namespace], None], parser: Parser, argv: Sequen
                 raise InputError(f"--{name} must be at least 1, got {number}")
         work(arguments)
     except FracbenchError as exc:
-        console.complain(" ".join(str(exc).splitlines()))
+        console.complain(str(exc))
         return 2
     return 0
-
-
-def write(records: list[dict[str, Any]], stem: Path, title: str, note: str = "medians of the rounds") -> None:
-    """Print the records of a benchmark as a table and write them as CSV."""
-    import pandas as pd
-
-    write_results(pd.DataFrame(records), stem, title, note)
-
-
-__all__ = ["FIXED", "parser", "results_stem", "run", "texture_pair", "write"]

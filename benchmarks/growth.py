@@ -15,7 +15,9 @@ from typing import Any
 import common
 import numpy as np
 
+from fracbench.api import estimate_flow
 from fracbench.commands import console
+from fracbench.commands.bench import results_stem, write_results
 from fracbench.harness.run.provenance import peak_mib, reset_peak
 
 #: From VGA to 8 megapixels: these without a prime factor above 5, and with 17, which costs its square.
@@ -23,36 +25,22 @@ SHAPES = ((480, 640), (960, 1280), (1728, 2304), (2304, 3456), (2448, 3264))
 
 
 def cases() -> list[tuple[str, tuple[int, int]]]:
-    """Return the boundaries and sizes that `by_size` times: all under `reflect`, the least also under `zero`."""
+    """Return the boundaries and sizes to be timed: all sizes under `reflect`, the smallest also under `zero`."""
     return [("reflect", shape) for shape in SHAPES] + [("zero", SHAPES[0])]
 
 
 def turns(shape: tuple[int, int]) -> int:
-    """Return how often an image of `shape` is estimated in a round: small ones more often, which vary most."""
+    """Return how often an image is estimated in a round: small images, whose times vary most, more often."""
     return min(8, max(1, 2_000_000 // math.prod(shape)))
 
 
-def by_size(*, threads: int, repeats: int, on_lap: Callable[[], None] | None = None) -> list[dict[str, Any]]:
-    """Time the solver on growing images, with one and with several threads; sizes and threads take turns.
+def by_size(*, threads: int, repeats: int, on_lap: Callable[[], None]) -> list[dict[str, Any]]:
+    """Time the solver for each of `cases` on one thread and on `threads`; sizes and threads take turns.
 
-    Parameters
-    ----------
-    threads : int
-        Compared with one.
-    repeats : int
-        Timed rounds through all sizes; the median of all turns counts.
-    on_lap : callable, optional
-        Called after each estimate.
-
-    Returns
-    -------
-    list of dict
-        ``boundary, height, width, seconds, us_per_pixel, bytes_per_pixel, resident, speed_up``, one for each of
-        `cases`: seconds on one thread; bytes a pixel at peak of an estimate, of its arrays and of resident memory
-        beyond what the process held before; and one thread's time over several threads'.
+    `seconds` is the median of all turns on one thread. `bytes_per_pixel` and `resident` are bytes per pixel at the
+    peak of an estimate: of its arrays, and of resident memory beyond that held before. `speed_up` is one thread's
+    time over that of several.
     """
-    from fracbench.api import estimate_flow
-
     estimates, records = [], []
     for boundary, shape in cases():
         pixels = math.prod(shape)
@@ -71,8 +59,7 @@ def by_size(*, threads: int, repeats: int, on_lap: Callable[[], None] | None = N
                 started = time.perf_counter()
                 estimate(threads=number)
                 times[number].append(time.perf_counter() - started)
-                if on_lap is not None:
-                    on_lap()
+                on_lap()
     for (_, shape), estimate, times, record in zip(cases(), estimates, took, records, strict=True):
         seconds, pixels = median(times[1]), math.prod(shape)
         record |= {
@@ -85,14 +72,9 @@ def by_size(*, threads: int, repeats: int, on_lap: Callable[[], None] | None = N
 
 
 def array_bytes(work: Callable[[], object]) -> int:
-    """Call `work` and return the most that its arrays took at once, bytes.
+    """Call `work`, which runs slower, and return the peak of its arrays in bytes.
 
-    It is what Python and NumPy ask for: the same on every system, without what the system's allocator wastes.
-
-    Parameters
-    ----------
-    work : callable
-        What to measure; it runs slower.
+    Python and NumPy ask for the same amount on every system; resident memory includes what the allocator wastes.
     """
     tracemalloc.start()
     try:
@@ -104,16 +86,16 @@ def array_bytes(work: Callable[[], object]) -> int:
 
 def measure(arguments: argparse.Namespace) -> None:
     """Measure, print and write the table."""
-    stem = common.results_stem(arguments.overrides, f"size_{arguments.threads}_threads")
+    stem = results_stem(arguments.overrides, f"size_{arguments.threads}_threads")
     laps = 2 * arguments.repeats * sum(turns(shape) for _, shape in cases())
     with console.progress(laps, "growth") as advance:
         records = by_size(threads=arguments.threads, repeats=arguments.repeats, on_lap=advance)
-    common.write(records, stem, f"alpha 1.2, fixed iterations, {arguments.threads} threads against one")
+    write_results(records, stem, f"alpha 1.2, fixed iterations, {arguments.threads} threads against one")
 
 
 def main(argv: list[str]) -> int:
     """Run the benchmark and return its exit code."""
-    return common.run(measure, common.parser(__doc__, repeats=5, against="threads"), argv)
+    return common.run(measure, common.parser(__doc__, against="threads"), argv)
 
 
 if __name__ == "__main__":

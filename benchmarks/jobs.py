@@ -14,6 +14,7 @@ from typing import Any
 import common
 
 from fracbench.commands import console
+from fracbench.commands.bench import results_stem, write_results
 from fracbench.harness.run import sweep
 from fracbench.harness.run.plan import make_plan
 from fracbench.harness.run.store import Store
@@ -21,27 +22,10 @@ from fracbench.harness.run.store import Store
 SWEEP = ("region=grove2_A", "alpha=0:2:0.05")
 
 
-def by_jobs(
-    tokens: Sequence[str], jobs: int, *, repeats: int, on_lap: Callable[[], None] | None = None
-) -> dict[str, Any]:
-    """Time a sweep into an empty store on one and on several worker processes, interleaved.
+def by_jobs(tokens: Sequence[str], jobs: int, *, repeats: int, on_lap: Callable[[], None]) -> dict[str, Any]:
+    """Time a sweep into an empty store on one and on `jobs` worker processes, interleaved, after a warm-up.
 
-    Parameters
-    ----------
-    tokens : sequence of str
-        The sweep.
-    jobs : int
-        Compared with one.
-    repeats : int
-        Timed rounds after one that warms up; the median counts.
-    on_lap : callable, optional
-        Called after each sweep.
-
-    Returns
-    -------
-    dict
-        ``points, jobs, seconds_1, seconds_n, speed_up, overhead_ms``: what a point costs on one job beyond the
-        seconds that its computation takes.
+    `overhead_ms` is the cost of a point on one process beyond the seconds that its computation takes.
     """
     plan = make_plan(tokens)
     took: dict[int, list[float]] = {1: [], jobs: []}
@@ -58,8 +42,7 @@ def by_jobs(
             if number == 1:
                 computing = sum(row.seconds or 0.0 for row in report.rows.values())
                 overheads.append(1e3 * (seconds - computing) / len(report.rows))
-            if on_lap is not None:
-                on_lap()
+            on_lap()
     one, several = median(took[1]), median(took[jobs])
     return {
         "points": len(plan.points),
@@ -74,16 +57,15 @@ def by_jobs(
 def measure(arguments: argparse.Namespace) -> None:
     """Measure, print and write the table."""
     tokens = arguments.overrides or SWEEP
-    stem = common.results_stem(tokens, f"jobs_{arguments.jobs}")
+    stem = results_stem(tokens, f"jobs_{arguments.jobs}")
     with console.progress(2 * arguments.repeats, "jobs") as advance:
         record = by_jobs(tokens, arguments.jobs, repeats=arguments.repeats, on_lap=advance)
-    common.write([record], stem, " ".join(tokens))
+    write_results([record], stem, " ".join(tokens))
 
 
 def main(argv: list[str]) -> int:
     """Run the benchmark and return its exit code."""
-    parser = common.parser(__doc__, repeats=5, against="jobs", default=" ".join(SWEEP))
-    return common.run(measure, parser, argv)
+    return common.run(measure, common.parser(__doc__, against="jobs", default=" ".join(SWEEP)), argv)
 
 
 if __name__ == "__main__":

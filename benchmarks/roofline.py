@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from collections.abc import Callable
 from statistics import median
+from timeit import repeat
 
 import common
 import numpy as np
+from threadpoolctl import threadpool_limits
+
+from fracbench.commands.bench import results_stem, write_results
+from fracbench.studies.solvers.linearised_problem import iterate_once
 
 SHAPES = ((480, 640), (960, 1280))
 #: Reads and writes of one array of H x W, a component: d - b (8), the right-hand side (13), the division (4),
@@ -22,25 +26,11 @@ _TRANSFORMS, _OTHER_FLOPS = 14, 90
 
 
 def roofline(shape: tuple[int, int], *, repeats: int) -> dict[str, float]:
-    """Compare one iteration under `reflect` in float32 with what memory and arithmetic of the machine allow.
+    """Compare one iteration (v-step and u-step) under `reflect` in float32 with the limits of the machine.
 
-    Parameters
-    ----------
-    shape : tuple of int
-        ``(H, W)``.
-    repeats : int
-        Timed rounds of each; the median counts.
-
-    Returns
-    -------
-    dict
-        ``mflop, mbyte`` of an iteration (v-step and u-step), ``gflops, gbyte_s``: the machine's matrix product and
-        copy on one thread, ``ms_by_flops, ms_by_bytes``: what they would take, ``ms``: what an iteration takes.
+    `gflops` and `gbyte_s` are the rates of a matrix product and of a copy on one thread. `ms_by_flops` and
+    `ms_by_bytes` are the times of the iteration's `mflop` and `mbyte` at these rates; `ms` is the measured time.
     """
-    from threadpoolctl import threadpool_limits
-
-    from fracbench.studies.solvers.linearised_problem import iterate_once
-
     height, width = shape
     pixels = height * width
     bits = (width * height * np.log2(width) + height * width * np.log2(height)) / 2.0
@@ -68,24 +58,19 @@ def roofline(shape: tuple[int, int], *, repeats: int) -> dict[str, float]:
 
 def _median_seconds(work: Callable[[], object], repeats: int) -> float:
     work()
-    took = []
-    for _ in range(repeats):
-        started = time.perf_counter()
-        work()
-        took.append(time.perf_counter() - started)
-    return median(took)
+    return median(repeat(work, number=1, repeat=repeats))
 
 
 def measure(arguments: argparse.Namespace) -> None:
     """Measure, print and write the table."""
-    stem = common.results_stem(arguments.overrides, "roofline")
+    stem = results_stem(arguments.overrides, "roofline")
     records = [roofline(shape, repeats=arguments.repeats) for shape in SHAPES]
-    common.write(records, stem, "one iteration, reflect, float32, one thread")
+    write_results(records, stem, "one iteration, reflect, float32, one thread")
 
 
 def main(argv: list[str]) -> int:
     """Run the benchmark and return its exit code."""
-    return common.run(measure, common.parser(__doc__, repeats=5), argv)
+    return common.run(measure, common.parser(__doc__), argv)
 
 
 if __name__ == "__main__":

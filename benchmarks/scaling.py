@@ -17,6 +17,7 @@ from statistics import mean
 import common
 
 from fracbench.commands import console
+from fracbench.commands.bench import results_stem, write_results
 from fracbench.commands.parser import Parser
 from fracbench.harness.run import provenance, sweep
 from fracbench.harness.run.message import Job
@@ -31,19 +32,11 @@ N_POINTS = 100_000
 
 @dataclass(frozen=True)
 class Lap:
-    """One run of the grid.
-
-    Attributes
-    ----------
-    wall, parent, point : float
-        Seconds: on the clock, of this process's processor a point, and of an estimate in the mean.
-    rows : list of Row
-        What was computed.
-    """
+    """One run of the grid, with its times in seconds."""
 
     wall: float
-    parent: float
-    point: float
+    parent: float  #: this process's processor time per point
+    point: float  #: mean time of an estimate
     rows: list[Row]
 
 
@@ -57,7 +50,7 @@ def run(plan: Plan, jobs: int) -> Lap:
 
 
 def write_seconds(rows: list[Row]) -> tuple[float, float]:
-    """Return the seconds that one row takes to be stored, and the bytes it takes up."""
+    """Return the seconds that storing one row takes, and the bytes of the row."""
     with tempfile.TemporaryDirectory(prefix="fracbench-", dir=Path.cwd()) as folder:
         path = Path(folder) / "store.sqlite"
         Store(path).close()
@@ -72,7 +65,7 @@ def write_seconds(rows: list[Row]) -> tuple[float, float]:
 
 
 def message_bytes(plan: Plan, row: Row) -> tuple[int, int]:
-    """Return the bytes that go to a worker with a point, and that come back."""
+    """Return the bytes that a point sends to a worker, and those that come back."""
     key, point = next(iter(plan.unique().items()))
     return len(ForkingPickler.dumps(Job(key, point, 1, SOLVER_VERSION, provenance.commit()))), len(row.to_json())
 
@@ -80,24 +73,15 @@ def message_bytes(plan: Plan, row: Row) -> tuple[int, int]:
 def hours(n_points: int, workers: int, point: float, overhead: float, parent: float) -> float:
     """Return the hours that a sweep takes: its workers' time or its parent's, whichever is longer.
 
-    Parameters
-    ----------
-    n_points, workers : int
-        Size of the sweep and of the cluster.
-    point, overhead, parent : float
-        Seconds a point: of the estimate, of the worker besides, and of the parent.
-
-    Returns
-    -------
-    float
-        ``n max((point + overhead) / workers, parent) / 3600``.
+    `point`, `overhead` and `parent` are seconds per point: of the estimate, of the worker's other work, and of the
+    parent.
     """
     return n_points * max((point + overhead) / workers, parent) / 3600.0
 
 
 def measure(arguments: argparse.Namespace) -> None:
-    """Measure, print, and write the hours that `N_POINTS` points take."""
-    stem = common.results_stem([], "scaling")
+    """Measure, print and write the hours that `N_POINTS` points take."""
+    stem = results_stem([], "scaling")
     plan = make_plan(GRID)
     laps = {}
     for jobs in (1, 2):
@@ -122,13 +106,13 @@ def measure(arguments: argparse.Namespace) -> None:
     overhead = laps[1].wall / len(laps[1].rows) - point
     paces = {w: hours(N_POINTS, w, point, overhead, parent + seconds) for w in (2, 16, 128, 1024)}
     records = [{"points": N_POINTS, "workers": workers, "hours": pace} for workers, pace in paces.items()]
-    common.write(records, stem, f"hours of {N_POINTS} points", "extrapolated from one run")
+    write_results(records, stem, f"hours of {N_POINTS} points", "extrapolated from one run")
 
 
 def main(argv: list[str]) -> int:
     """Run the benchmark and return its exit code."""
     parser = Parser(description=__doc__)
-    parser.add_argument("address", nargs="?", help="of a Dask scheduler, e.g. tcp://127.0.0.1:8786")
+    parser.add_argument("address", nargs="?", help="address of a Dask scheduler, e.g. tcp://127.0.0.1:8786")
     return common.run(measure, parser, argv)
 
 

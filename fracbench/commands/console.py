@@ -1,4 +1,4 @@
-"""What the terminal shows: results on standard output; remarks, errors and progress on standard error."""
+"""Output to the terminal: results on standard output; remarks, errors and progress on standard error."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import pandas as pd
     from rich.console import Console
-    from rich.progress import Progress
 
 
 def _console(*, stderr: bool) -> Console:
@@ -20,7 +19,7 @@ def _console(*, stderr: bool) -> Console:
 
 
 def say(text: str) -> None:
-    """Print a result to standard output, as it is."""
+    """Print a result to standard output, unchanged."""
     print(text)
 
 
@@ -31,12 +30,11 @@ def note(text: str) -> None:
 
 def complain(text: str) -> None:
     """Print an error to standard error, in one line."""
+    text = " ".join(text.splitlines())  # a file's name may hold a line break
     _console(stderr=True).print(f"fracbench: {text}", markup=False, style="bold red")
 
 
 class _Notes(logging.Handler):
-    """Print what the package logs as remarks."""
-
     def emit(self, record: logging.LogRecord) -> None:
         note(f"note: {record.getMessage()}")
 
@@ -49,15 +47,7 @@ def show_log() -> None:
 
 
 def show_table(table: pd.DataFrame, title: str = "") -> None:
-    """Print a table to standard output.
-
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        Cells are shown by ``str``; numbers should be rounded already.
-    title : str, optional
-        Heading.
-    """
+    """Print a table to standard output; cells are shown by ``str``, so numbers should be rounded already."""
     from rich.markup import escape
     from rich.table import Table
 
@@ -82,30 +72,8 @@ def _looks_numeric(value: Any) -> bool:
 
 
 @contextmanager
-def progress(total: int, what: str) -> Iterator[Any]:
-    """Show a progress bar with the time left; yields a function to call once a point, with anything.
-
-    Parameters
-    ----------
-    total : int
-        Number of points; for 0 nothing is shown.
-    what : str
-        Label.
-
-    Yields
-    ------
-    callable
-        Advances the bar by one.
-    """
-    if total == 0:
-        yield lambda *_: None
-        return
-    with _bar() as bar:
-        task = bar.add_task(what, total=total)
-        yield lambda *_: bar.advance(task)
-
-
-def _bar() -> Progress:
+def progress(total: int, label: str) -> Iterator[Any]:
+    """Show a progress bar with the time left; yield a function to call once per point, with any arguments."""
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -115,15 +83,18 @@ def _bar() -> Progress:
         TimeRemainingColumn,
     )
 
+    if total == 0:
+        yield lambda *_: None
+        return
     terminal = _console(stderr=True)
-    return Progress(
+    columns = (
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
         TextColumn("ETA"),
         TimeRemainingColumn(),
-        console=terminal,
-        transient=True,
-        disable=not terminal.is_terminal,
     )
+    with Progress(*columns, console=terminal, transient=True, disable=not terminal.is_terminal) as bar:
+        task = bar.add_task(label, total=total)
+        yield lambda *_: bar.advance(task)
