@@ -33,7 +33,7 @@ def middlebury() -> Path:
 
 @pytest.fixture
 def work(tmp_path, monkeypatch) -> Path:
-    """An empty working folder, with no word from the environment about where data are."""
+    """An empty working folder; no environment variable says where data are."""
     monkeypatch.delenv("FRACBENCH_DATA", raising=False)
     monkeypatch.chdir(tmp_path)
     return tmp_path
@@ -41,7 +41,7 @@ def work(tmp_path, monkeypatch) -> Path:
 
 @pytest.fixture
 def reference(work, monkeypatch) -> Path:
-    """The folder for stored tables of a project of its own, which the working folder is; nothing is in it."""
+    """The empty folder for the stored tables of a new project, which is the working folder."""
     folder = work / "results" / "reference"
     folder.mkdir(parents=True)
     for module in (regression, spread, tolerances):
@@ -72,7 +72,7 @@ def cli(capsys):
 
 
 def _contents(folder: Path) -> dict[str, str | None]:
-    """Every file below a folder with its SHA-256, every folder with None; not what SQLite keeps while it reads."""
+    """Every file below a folder with its SHA-256, every folder with None; without SQLite's temporary files."""
     return {
         str(path.relative_to(folder)): sha256(path.read_bytes()).hexdigest() if path.is_file() else None
         for path in folder.rglob("*")
@@ -82,15 +82,15 @@ def _contents(folder: Path) -> dict[str, str | None]:
 
 @pytest.fixture
 def contents():
-    """What `refused` compares before and after."""
+    """The tree that `refused` compares before and after."""
     return _contents
 
 
 @pytest.fixture
 def refused(capsys):
-    """A function that runs a command and checks that it is refused in one line that holds all of `named`.
+    """A function that runs a command and checks that one line refuses it and holds all of `named`.
 
-    No file below the folder is changed, made or left behind.
+    No file below the folder may be changed or made.
     """
 
     def check(folder: Path, argv, *named: str) -> str:
@@ -132,7 +132,7 @@ def no_middlebury(monkeypatch) -> None:
 
 @pytest.fixture
 def unwritten(monkeypatch) -> None:
-    """Figures are made but not written, which takes seconds; their files are listed all the same."""
+    """Figures are made and listed but not written, because writing takes seconds."""
 
     def draw(stem, make, *shown, **looks):
         make(*shown, **looks)

@@ -1,4 +1,4 @@
-"""What is distributed: a wheel that works without the checkout, under one version and one command."""
+"""The distributed wheel: it works without the checkout, under one version and one command."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_the_wheel_works_without_the_checkout(wheel, tmp_path):
 
 @pytest.fixture(scope="module")
 def installed(wheel, tmp_path_factory) -> Path:
-    """An environment of its own with the wheel installed by pip; dependencies are those of this one."""
+    """A new environment with the wheel installed by pip; it shares the dependencies of this one."""
     pytest.importorskip("pip")
     folder = tmp_path_factory.mktemp("installed") / "venv"
     venv.create(folder, symlinks=True)
@@ -121,7 +121,7 @@ def installed(wheel, tmp_path_factory) -> Path:
 
 
 def bare(home: Path) -> dict[str, str]:
-    """An environment with no word about this checkout."""
+    """Environment variables that do not mention this checkout."""
     return {"PATH": os.defpath, "HOME": str(home), "MPLCONFIGDIR": str(home), "NUMBA_NUM_THREADS": "1"}
 
 
@@ -162,7 +162,7 @@ def test_the_installed_package_is_the_wheels(installed):
 
 
 def test_the_versions_of_python_are_said_once(project, wheel):
-    """The classifiers start where requires-python does, and name what was tested: there may be gaps."""
+    """The classifiers start at requires-python and name the tested versions, so there may be gaps."""
     said = metadata(wheel, "METADATA")
     least = re.search(r"^Requires-Python: >=3\.(\d+)$", said, re.MULTILINE)
     minors = [
@@ -173,7 +173,7 @@ def test_the_versions_of_python_are_said_once(project, wheel):
 
 
 def test_hydra_is_used_without_a_word_of_warning(monkeypatch):
-    """What Hydra 1.3 warns of, 1.4 may refuse; warnings are errors here, and none is silenced."""
+    """Hydra 1.4 may refuse whatever Hydra 1.3 warns of; warnings are errors here, and none is silenced."""
     from fracbench.harness.config import compose
 
     compose._compose.cache_clear()
@@ -207,7 +207,7 @@ def test_the_console_script_leaves_with_the_exit_code(monkeypatch, capsys):
 
 
 def test_every_import_is_declared(project):
-    """What the package imports is the standard library, itself, or one of its dependencies or extras."""
+    """The package imports the standard library, itself, its dependencies and its extras, and no other package."""
     names = {"hydra": "hydra-core", "omegaconf": "hydra-core", "PIL": "pillow", "png": "pypng", "yaml": "pyyaml"}
     names |= {"cv2": "opencv-contrib-python-headless", "skimage": "scikit-image", "markdown_it": "markdown-it-py"}
     extras = project["project"]["optional-dependencies"]
@@ -232,7 +232,7 @@ def test_assets_of_a_checkout_are_at_its_top(project):
 def test_assets_of_an_installation_are_inside_the_package(tmp_path, monkeypatch):
     package = tmp_path / "site-packages" / "fracbench"
     (package / "_assets" / "conf").mkdir(parents=True)
-    (package.parent / "conf").mkdir()  # somebody else's
+    (package.parent / "conf").mkdir()  # of another project
     monkeypatch.setattr(assets, "_PACKAGE", package)
     assert asset("conf") == package / "_assets" / "conf"
     assert checkout() is None

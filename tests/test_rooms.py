@@ -1,4 +1,4 @@
-"""The rooms: who may import whom, how many modules a room has, what its docstring says."""
+"""The rooms: their allowed imports, their number of modules, and their docstrings."""
 
 from __future__ import annotations
 

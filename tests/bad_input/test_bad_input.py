@@ -1,4 +1,4 @@
-"""Whatever is wrong with the input: one line that names it, exit code 2, and nothing left behind."""
+"""Bad input of every kind gives one line that names it and exit code 2, and changes no file."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FLAT = ("sequence=synthetic_flat", "n_scales=1", "n_warps=1", "max_iter=1")
 
 
 def png_bytes(width: int, height: int, depth: int, colour: int, raw: bytes) -> bytes:
-    """A PNG assembled by hand: its header may promise anything."""
+    """A PNG assembled by hand, whose header may promise any size."""
 
     def chunk(kind: bytes, data: bytes) -> bytes:
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))

@@ -1,4 +1,4 @@
-"""A file in the place of a store: refused in one line that names it and the remedy, and left as it is."""
+"""A file in place of a store is refused in one line with the remedy, and is not changed."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def test_no_side_of_a_comparison(work, place, refused, make, named):
 
 
 def test_a_row_that_is_no_json_is_damage_not_code(work, place, refused):
-    """A store is data: what stands in its columns is read as JSON, whatever it looks like."""
+    """A store is data: its columns are read as JSON, whatever they hold."""
     with Store(place):
         pass
     row = ("k", "i", "__import__('os').abort()", 1, "done", "{}", "{}", 1, "2026-01-01")

@@ -1,4 +1,4 @@
-"""YAML is data: what is malformed is refused in one line, and nothing in it runs code or leads out of results."""
+"""YAML is data: malformed files are refused in one line, run no code and lead to no place outside the results."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ REGION = "defaults: [{override /sequence: grove2}]\nregion: "
 OWN = REGION + "{name: own, sequence: "
 BOX = "sequence: grove2, rows: [0, 90], cols: [0, 90]"
 
-#: File of conf, what is replaced (nothing: the file is new), what stands there instead, what is said.
+#: A file of conf, the text replaced (empty: the file is new), the text in its place, and a part of the message.
 CONFIGS = [
     ("config.yaml", "dataset: auto", "dataset: [1]", "`dataset` must be a name"),
     ("config.yaml", "dataset: auto", "dataset: moon", "unknown dataset 'moon'"),
@@ -80,7 +80,7 @@ CONFIGS = [
     ("parallel/own.yaml", "", "shift: 1", "`parallel` is missing"),
 ]  # fmt: skip
 
-#: What would run code, or read more than the project's own files.
+#: Values that would run code, or read more than the project's own files.
 CODE = [
     ("config.yaml", "params: {}", "params: {_target_: os.system}", "'_target_' is not allowed"),
     ("config.yaml", "params: {}", "params: {}\n_target_: os.system", "'_target_' is not allowed"),

@@ -1,4 +1,4 @@
-"""Files made to hurt: a reader returns a valid flow or picture, or raises the project's own error, at once."""
+"""Hostile files: a reader soon returns a valid flow or picture, or raises the project's own error."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from PIL import Image
 from fracbench.data import files
 from fracbench.errors import InputError
 
-#: Two seconds for some bytes: whatever takes longer hangs.
+#: A reader that takes more than two seconds for some bytes hangs.
 SETTINGS = settings(max_examples=60, deadline=2000)
 FORMATS = ("PNG", "JPEG", "PPM", "BMP", "TIFF", "GIF", "WEBP")
 
@@ -63,7 +63,7 @@ def test_every_format_is_read(form):
 
 @pytest.mark.parametrize("form", ["EPS", "PDF", "ICO", "PCX", "SGI", "TGA"])
 def test_no_other_format_reaches_a_decoder(form):
-    """Pillow hands PostScript to another program, for one."""
+    """Pillow, for example, hands PostScript to another program."""
     with pytest.raises(InputError, match="unknown format"):
         files.decode_image(sound(form), "a")
 
@@ -153,7 +153,7 @@ HEADERS = {
 
 
 def test_no_header_takes_memory_by_its_word_alone(tmp_path):
-    """Each promises 180 MB and more in some bytes; there are 150 MB, and nothing runs out of them."""
+    """Each header promises at least 180 MB; the process may use 150 MB, and that is enough."""
     pytest.importorskip("resource", reason="memory cannot be limited on this system")
     for name, data in HEADERS.items():
         (tmp_path / name).write_bytes(data)

@@ -1,4 +1,4 @@
-"""No ground truth reaches an estimator: with another one, in the same run of the harness, the flow is the same."""
+"""No ground truth reaches an estimator: with another truth, the harness computes the same flow."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ HOMES = {"tvl1_sb_alpha_map": alpha_map, "tvl1_sb_alpha": paper}
 
 @pytest.fixture
 def flows(monkeypatch):
-    """The flows that the methods return, as they leave them; the sequences held are those of one test."""
+    """The flows as the methods return them, on the sequences of one test."""
     found = []
     for name, home in HOMES.items():
         estimate = getattr(home, name)
@@ -54,6 +54,6 @@ def test_poisoned_truth_changes_the_errors_and_not_a_bit_of_the_flow(flows, meth
         (again,) = make_plan([f"method={method}", *QUICK]).points
         assert again.point.key == planned.point.key
         poisoned = run_point(again.point, None).result
-        assert poisoned["aepe"] > 2.0 * right["aepe"]  # the harness did score against the poison
+        assert poisoned["aepe"] > 2.0 * right["aepe"]  # the harness did score against the poisoned truth
         assert poisoned["iterations"] == right["iterations"] and poisoned["stop"] == right["stop"]
         np.testing.assert_array_equal(flows[-1], expected)

@@ -1,4 +1,4 @@
-"""The scripts that measure the program itself. No test asks how long anything takes."""
+"""The scripts that measure the program itself; no test depends on a measured time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The model of what a large sweep costs, and what it rests on."""
+"""The model of the cost of a large sweep, and the measurements behind it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The benchmark: who runs, what is counted, what is written. No test asks how long anything takes."""
+"""The benchmark: its methods, its counts and its files; no test depends on a measured time."""
 
 from __future__ import annotations
 

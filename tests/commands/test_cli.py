@@ -1,4 +1,4 @@
-"""The command line from the outside: what is printed where, what is written, and the exit code."""
+"""The command line as a user sees it: output, messages, files and exit codes."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from fracbench.harness.run.store import STORE, Store
 from fracbench.methods.registry import METHODS
 
 COMMANDS = ("sweep", "table", "figure", "experiment", "run", "estimate", "check", "data", "methods")
-NAMES_ONLY = "boundary=zero,reflect"  # nothing that is drawn
+NAMES_ONLY = "boundary=zero,reflect"  # no figures
 
 
 def tree(folder: Path) -> list[str]:
-    """Every file and folder."""
+    """Every file and folder below a folder."""
     return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
 
 
@@ -356,7 +356,7 @@ def test_a_protocol_gives_its_method_and_its_own_parameters(cli, images):
     params = {"lambda_" if name == "lambda" else name: value for name, value in values.items()}
     expected = estimate_flow(read_image("a.png"), read_image("b.png"), method=preset["method"], **params)
     np.testing.assert_array_equal(read_flow("f.flo"), expected.flow)
-    # of `reference` nothing but its own: no sequence's lambda or theta
+    # the settings of `reference` alone: no sequence's lambda or theta
     done = cli("estimate", "a.png", "b.png", "-o", "f.flo", "protocol=reference")
     own = yaml.safe_load(asset("conf/protocol/reference.yaml").read_text())["params"]
     expected = estimate_flow(read_image("a.png"), read_image("b.png"), **own)

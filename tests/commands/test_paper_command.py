@@ -1,4 +1,4 @@
-"""The whole paper in one command, on experiments small enough to be run here."""
+"""The whole paper in one command, on experiments that are small enough for a test."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TINY = "n_scales=1, n_warps=1, max_iter=1, sequence=synthetic_flat"
 
 @pytest.fixture
 def paper(work, monkeypatch):
-    """A paper of two experiments, of which the second needs a point of the first, and one yet to be written."""
+    """A paper of three experiments: the second needs a point of the first, and the third does not exist yet."""
     folder = work / "experiments"
     folder.mkdir()
     (folder / "one.yaml").write_text(f"grid: [{TINY}, 'alpha=0,1,1.5,2']\n")
@@ -150,7 +150,7 @@ TABLES = ["fig2", "fig3", "fig4", "fig5", "fig6", "fig7", "fig6_band", "fig7_ban
 
 @pytest.mark.slow
 def test_the_whole_paper_in_small_leaves_every_artefact(work, cli):
-    """On the rendered scenes, from nothing: all is drawn, nothing is claimed of Middlebury, nothing done twice."""
+    """On the rendered scenes and without a store: all is drawn, no claim about Middlebury, no work done twice."""
     done = cli("report", "--small", "dataset=synthetic")
     assert done.code == 0, done.err
     expected = [f"figures/{name}.{suffix}" for name in FIGURES for suffix in ("png", "pdf")]

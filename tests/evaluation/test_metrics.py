@@ -52,7 +52,7 @@ class TestMaps:
     @given(arrays(np.float64, (4,), elements=st.floats(-50, 50)))
     def test_the_angle_is_the_papers_arccos(self, v):
         error = angular_error(flow_of(v[:2]), flow_of(v[2:]))[0, 0]
-        assert error == pytest.approx(by_arccos(v[:2], v[2:]), abs=5e-8)  # arccos is that blunt near 0
+        assert error == pytest.approx(by_arccos(v[:2], v[2:]), abs=5e-8)  # arccos has no more digits near 0
 
     @given(arrays(np.float64, (2,), elements=st.floats(-1e6, 1e6)))
     def test_equal_flows_have_exactly_no_error(self, v):

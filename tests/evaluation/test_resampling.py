@@ -65,7 +65,7 @@ def test_held_out_values_do_not_gain_from_noise_where_the_minimum_does():
     assert np.mean([held_out(s).mean() for s in samples]) == pytest.approx(0.0, abs=0.05)
     assert np.mean([s.mean(axis=0).min() for s in samples]) < -0.4
     surely = [mean_interval(held_out(s))[2] < 0.0 for s in rng().normal(0.0, 1.0, (2000, 10, 21))]
-    assert np.mean(surely) < 0.08  # more than the promised 0.025: halves that happen to agree choose alike
+    assert np.mean(surely) < 0.08  # more than the promised 0.025: halves that agree by chance choose the same
 
 
 @pytest.mark.parametrize("function", [mean_interval, minimum_interval, held_out])

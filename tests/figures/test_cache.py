@@ -1,4 +1,4 @@
-"""Figures are drawn again exactly where something that they show, or their files, changed."""
+"""Figures are drawn again if and only if their content or their files have changed."""
 
 from __future__ import annotations
 

@@ -322,7 +322,7 @@ def test_bytes_do_not_depend_on_the_process() -> None:
     fig = alpha_curves(pd.DataFrame({"alpha": [0, 1, 2], "aae": [2, 1, 3], "aepe": [2, 3, 1]}), title="x")
     png, pdf, pyplot = run.stdout.split()
     assert [png, pdf] == [hashlib.sha256(render(fig, fmt)).hexdigest() for fmt in ("png", "pdf")]
-    assert pyplot == "False"  # and with it no window system is ever loaded
+    assert pyplot == "False"  # so no window system is loaded
 
 
 def test_the_callers_settings_are_left_alone() -> None:

@@ -53,7 +53,7 @@ def test_wheel_has_the_55_colours_of_the_definition() -> None:
     ids=["right", "down", "left", "up"],
 )
 def test_axis_directions(direction: tuple[int, int], expected: tuple[int, ...]) -> None:
-    # On 54 steps round the circle the axes fall on 0, 13.5, 27 and 40.5: halves are means of two colours.
+    # The circle has 54 steps, so the axes are at 0, 13.5, 27 and 40.5; a half is the mean of two colours.
     assert colour(*direction) == expected
 
 

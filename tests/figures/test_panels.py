@@ -1,4 +1,4 @@
-"""The grid of panels: what is drawn in each, where it is marked, and what the legend calls it."""
+"""The grid of panels: the curves of each, their marks, and their names in the legend."""
 
 from __future__ import annotations
 

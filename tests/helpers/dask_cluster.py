@@ -1,6 +1,7 @@
 """A Dask cluster of two worker processes: ``python dask_cluster.py`` prints its address and its workers' pids.
 
-Most of a worker's life is its start, and tests kill many: they are forked from a process that has imported all.
+Tests kill many workers, and most of a worker's time is its start: workers are forked from a process that has
+imported all modules.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What commands compute is ignored by git; the committed copies change by the maintainer's command alone."""
+"""Git ignores the outputs of commands; only the maintainer's command changes the committed copies."""
 
 from __future__ import annotations
 

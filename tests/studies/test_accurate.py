@@ -56,7 +56,7 @@ def ablated():
 
 
 def test_each_sequence_is_scored_with_what_the_others_choose(grid):
-    """Literally: the best mean on two of three, scored on the third."""
+    """The definition: the setting with the best mean on two of three, scored on the third."""
     table = choice_table(grid)
     errors = np.array(list(SETTINGS.values()))
     for row, left in zip(table.itertuples(), range(3), strict=False):
@@ -75,7 +75,7 @@ def test_each_sequence_is_scored_with_what_the_others_choose(grid):
 
 
 def test_whole_parts_are_settings_too(grid):
-    """One that is best by far on a and b, and worst by far on c, is what a and b choose for c."""
+    """A setting that is best by far on a and b, and worst by far on c, is chosen for c."""
     other = [("a", 0.01), ("b", 0.01), ("c", 99.0)]
     rows = pd.DataFrame([{"part": "accurate/x", "sequence": s, "aepe": e, "aae": e / 100} for s, e in other])
     table = choice_table(pd.concat([grid, rows], ignore_index=True)).set_index("sequence")

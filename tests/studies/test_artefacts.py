@@ -1,4 +1,4 @@
-"""Artefacts: which files an experiment leaves, what they are called, and that they appear whole."""
+"""Artefacts: the files of an experiment, their names, and their appearance as whole files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The two studies: distances, best alphas and sentences on made-up tables, and the files they leave."""
+"""The two studies: distances, best alphas and sentences on made-up tables, and the files written."""
 
 from __future__ import annotations
 
@@ -202,7 +202,7 @@ def test_spectra_are_those_of_each_regions_system():
     assert first["gauss_seidel sweeps"].notna().all()
     assert (first["gauss_seidel radius"] < 1.0).all()
     assert first["jacobi sweeps"].iloc[0] == 1
-    # The stronger the coupling, the quicker; and the radius foretells the count, roughly.
+    # A stronger coupling needs fewer sweeps, and the radius roughly predicts their number.
     radii = table.pivot_table("gauss_seidel radius", "alpha", "region").loc[0.5:]
     assert (radii["urban3_A"] < radii["grove2_A"]).all()
     rate = -math.log(first["gauss_seidel radius"].iloc[2])

@@ -1,4 +1,4 @@
-"""Tables: every digit survives, every row is there, and the sentences say what the numbers say."""
+"""Tables: every digit and every row is kept, and the sentences agree with the numbers."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ def cells(aae, aepe="0.5", sdae="0.25") -> dict[str, str]:
 
 @pytest.fixture
 def mini(monkeypatch):
-    """A stored table of two points; `answers` gives what each circumstance computes."""
+    """A stored table of two points; `answers` gives the result of each circumstance."""
     plan = make_plan(GRID)
     monkeypatch.setattr(spread, "plan_of", lambda name: plan)
     return plan
@@ -127,7 +127,7 @@ def test_a_table_without_its_data_is_refused(monkeypatch):
 
 
 def test_the_usual_circumstances_are_those_of_the_check():
-    """What is measured against is, to the bit, what `fracbench check` computes."""
+    """The baseline of the spreads equals the values of `fracbench check` to the bit."""
     plan = make_plan(GRID)
     results = results_of(plan, 1, "")
     for key, point in plan.unique().items():
@@ -154,7 +154,7 @@ def test_threads_reach_the_solver(monkeypatch):
 
 
 def test_a_process_takes_on_its_circumstance(monkeypatch):
-    """The kernel asked for is at work, or the circumstance is left out; a name that is unknown as well."""
+    """The kernel asked for is used, or the circumstance is left out, as for an unknown name."""
     name = regression.stored_tables()[-1]
     assert name == "table2_synthetic"
     calls = {}

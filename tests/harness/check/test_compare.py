@@ -1,4 +1,4 @@
-"""Two runs cell by cell: what moved, what only one of them has, and nothing else."""
+"""Two runs cell by cell: cells that differ and cells that only one run has are named, and no others."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def differences(first, second) -> list[str]:
 
 
 def test_equal_stores_agree_whatever_they_were_computed_with(stores):
-    """Identity counts, not the key: another solver or machine is what one compares."""
+    """Points match by identity, not by key, because runs of other solvers and machines are compared."""
     first = stores("a.sqlite")
     second = stores("b.sqlite", solver_version=2, seconds=9.0)
     (verdict,) = compare_sides(open_side(first), open_side(second), TOLERANCES)

@@ -1,4 +1,4 @@
-"""`fracbench check` sees what it is there for: a small change of the numerics never passes as none.
+"""`fracbench check` detects small changes of the numerics.
 
 Each test computes some rows of the project's own stored tables, once as the package is and once with a change
 made to it, and compares them as the command does, with the project's own tolerances.
@@ -35,7 +35,7 @@ UNKNOWN: Part = ("regions", {"region": {"hydrangea_A"}, "alpha": {"1.2"}})  # an
 
 
 def forget() -> None:
-    """Empty every cache in which something computed before a change could live on."""
+    """Empty every cache that could hold a value from before a change."""
     for name, module in list(sys.modules.items()):
         if name.startswith("fracbench.model") or module is compute_point:
             for thing in vars(module).values():
@@ -138,7 +138,7 @@ def test_the_recurrence_of_the_weights_shifted_by_one_index_is_seen(checked, mon
 
 
 def test_the_weights_of_this_test_are_the_packages_but_for_the_shift(checked, monkeypatch):
-    """So that the test before sees the shift, and nothing else."""
+    """This shows that the test before detects the shift alone."""
 
     def weights(alpha: float, n: int):
         return np.cumprod([1.0, *(1.0 - (alpha + 1.0) / k for k in range(1, n))])

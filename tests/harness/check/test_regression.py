@@ -1,4 +1,4 @@
-"""Stored tables: a number that moves, or a table that is not what it was, never passes unseen."""
+"""Stored tables: every changed number and every changed table is reported."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def differences(stored: pd.DataFrame, found: pd.DataFrame) -> list[str]:
 
 @pytest.fixture(autouse=True)
 def mini(work, reference) -> None:
-    """A project of its own: one tiny experiment, and tolerances."""
+    """A new project with one tiny experiment and tolerances."""
     (work / "experiments").mkdir()
     (reference / "tolerances.toml").write_text(TOML)
     write_experiment(work, theta="0.3")
@@ -70,7 +70,7 @@ def files(folder) -> list[str]:
 
 @pytest.fixture
 def made_up(reference, monkeypatch, fake_rows):
-    """Recomputing gives made-up errors, at once; set ``made_up["aepe"]``."""
+    """Recomputing gives made-up errors without delay; a test sets ``made_up["aepe"]``."""
     numbers = {"aepe": 0.2, "status": "done"}
 
     def recompute(plan, jobs, on_row=None):
@@ -189,7 +189,7 @@ def test_what_is_not_finite_is_outside_every_tolerance():
 
 
 def test_a_stored_table_holds_until_a_parameter_changes(reference, work):
-    """The whole way: compute, store, compute again, compare; and theta larger by 1 %."""
+    """The whole check: compute, store, compute again and compare, then with theta larger by 1 %."""
     paths = store_table()
     assert paths == [reference / "mini.csv", reference / "mini.json"]
     stored = pd.read_csv(paths[0])
@@ -315,7 +315,7 @@ def test_an_unknown_table_offers_the_nearest(reference, made_up):
 @pytest.mark.parametrize("content", [b"", b'a,"b\n', b"\xff\xfe,\xff\n", b"a,b\n1,2,3\n1\n"])
 def test_a_stored_table_that_cannot_be_read_is_refused(reference, made_up, content):
     (reference / "mini.csv").write_bytes(content)
-    if content.startswith(b"a,b\n"):  # readable, after a fashion: then nothing of it holds
+    if content.startswith(b"a,b\n"):  # readable, but not a table: no cell of it holds
         assert recheck().differences
     else:
         assert "mini.csv: cannot be read as a table" in refusal(recheck)

@@ -1,4 +1,4 @@
-"""Tolerances: each has its basis and its reason, and follows from what was measured by one rule."""
+"""Tolerances: each has a basis and a reason, and follows from the measured spreads by one rule."""
 
 from __future__ import annotations
 
@@ -185,7 +185,7 @@ def test_the_spreads_of_other_tables_count_on(reference):
 
 
 def test_what_this_machine_cannot_measure_stays(reference):
-    """Kernels for a processor that this one is not, and what another has stored."""
+    """Kernels for another processor, and spreads that another processor has stored."""
     (reference / "tolerances.toml").write_text(TOML)
     write({"t": spreads([1.5e-3], under="SkylakeX")}, ORIGIN)
     write({"t": spreads([1e-4, 2e-4])}, ORIGIN)

@@ -1,4 +1,4 @@
-"""The configuration: every file composes, later groups win, and what is not known is refused by name."""
+"""The configuration: every file composes, later groups win, and unknown names are refused."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ CAPTIONS = {
     "rubberwhale_A": 2.0,
 }
 
-#: Those that need nothing which is not installed.
+#: Methods that need no optional package.
 METHODS_HERE = [name for name in group_options("method") if all(map(find_spec, METHODS[name].requires))]
 _REGION = "defaults: [{override /sequence: grove2}]\n"
 

@@ -21,7 +21,7 @@ def conf(tmp_path, monkeypatch):
 
 
 class Compose:
-    """Counts how often it is asked."""
+    """A function that counts its calls."""
 
     def __init__(self):
         self.calls = 0

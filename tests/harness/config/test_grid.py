@@ -1,4 +1,4 @@
-"""The override grammar: every form, every refusal, and laws that hold for any grid."""
+"""The override grammar: every form, every refusal, and properties of any grid."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The answer in short: its numbers, its picture, and the block that a README shows."""
+"""The short answer: its numbers, its picture, and its block in the README."""
 
 from __future__ import annotations
 

@@ -468,7 +468,7 @@ def test_regions_differ_as_much_as_one_alpha_for_all_costs(far, verdict):
 
 
 def test_a_range_is_better_only_if_both_sides_are_worse():
-    table = fig2(lambda mu: 0.1 + 0.1 / mu)  # falls all along
+    table = fig2(lambda mu: 0.1 + 0.1 / mu)  # decreases everywhere
     found = judge("better_inside", {"fig2": table}, **BEST_INSIDE | {"low": 1})["reference"]
     assert found.verdict == "does not hold"
     assert (

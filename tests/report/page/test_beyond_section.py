@@ -1,4 +1,4 @@
-"""The section on what is beyond the paper: from files alone, and honest about those that are not there."""
+"""The section beyond the paper: it is made from files alone and names the missing ones."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_what_was_run_is_told_from_its_files(sources, tmp_path):
     for folder in ("tables", "figures", "private"):
         (tmp_path / folder).mkdir()
     (tmp_path / "tables/adaptive_alpha_synthetic_small.md").write_text(TOLD, encoding="utf-8")
-    (tmp_path / "tables/alpha_by_structure.md").write_text(TOLD, encoding="utf-8")  # Middlebury's, whole
+    (tmp_path / "tables/alpha_by_structure.md").write_text(TOLD, encoding="utf-8")  # Middlebury, full grid
     for path in ("figures/adaptive_alpha", "private/adaptive_alpha_orders"):
         Image.new("RGB", (8, 4)).save(tmp_path / f"{path}_synthetic_small.png")
     _, heading, said, figure, orders, folded, *others = beyond.beyond(sources).blocks

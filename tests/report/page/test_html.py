@@ -1,4 +1,4 @@
-"""The report: a page that is whole, well-formed and the same each time, and says what is not there."""
+"""The report: a complete, well-formed page, the same on each run, that names missing parts."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def fill(results: Path, rows: list[Row]) -> None:
 
 
 def keep_flows(sources: Sources) -> None:
-    """Put the true flow where those of the pictures are looked for, so that none is computed."""
+    """Store the true flow in place of the pictures' flows, so that none is computed."""
     folder = sources.results / "runs" / "flows"
     folder.mkdir(parents=True)
     for _, entries in gallery._shown(sources.get("table2").plan, sources):
@@ -273,7 +273,7 @@ def test_words_of_the_paper_are_never_taken_for_html():
 
 def test_the_page_judges_by_the_claims_of_the_project(page):
     assert f"{len(claims.load_claims())} sentences of the paper" in page.text
-    assert "cannot be judged" in page.text  # scenes say nothing of Middlebury
+    assert "cannot be judged" in page.text  # results on scenes support no claim about Middlebury
 
 
 # -- Table 2 -------------------------------------------------------------------------------------
@@ -504,7 +504,7 @@ addEventListener("message", (event) => { document.getElementById("found").textCo
 
 
 def probed(folder: Path, text: str, caption: str, *, filters=(), dark=False) -> tuple[dict, str]:
-    """Open a page in a frame of 390 pixels, and return what a script in it finds and what Chromium logs."""
+    """Open a page in a frame of 390 pixels; return the findings of a script in it, and Chromium's log."""
     if CHROMIUM is None:
         pytest.skip("no Chromium is installed (Debian: apt-get install chromium)")
     script = PROBE.replace("CAPTION", json.dumps(caption)).replace("FILTERS", json.dumps(filters))

@@ -140,7 +140,7 @@ def test_what_is_missing_leaves_no_number_and_no_sentence():
     one_missing = {name: oracle() if name != "s3" else None for name in SEQUENCES}
     table = adaptive_table(made_up(ONE, BETTER), one_missing)
     assert np.isnan(values(table, "run pixel", "aepe")[MEAN]) and values(table, "run pixel", "aepe")["s4"] == 0.15
-    assert len(adaptive_sentences(table, one_missing)) == 5  # nothing of bounds that are not all there
+    assert len(adaptive_sentences(table, one_missing)) == 5  # no sentence on bounds of which some are missing
 
 
 def test_the_confusion_is_counted_over_all_sequences():

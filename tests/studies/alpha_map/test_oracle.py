@@ -1,4 +1,4 @@
-"""Maps of orders that know the truth: brute force beside them, what they are equal to, and what they leave."""
+"""Maps of orders chosen by the truth, against brute force, against single flows, and their files."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def test_a_whole_oracle_on_a_scene(sequence):
 def test_what_is_kept_is_not_computed_again(sequence, monkeypatch):
     points, work = sequence
     truth = point_arrays(points[0], None)[2]
-    for point in points:  # whatever is kept is taken for the flow
+    for point in points:  # a stored array is taken for the flow
         write_flow(work / "flows" / f"{point.key}.flo", truth)
     monkeypatch.setattr(flows, "get_method", lambda name: pytest.fail("computed"))
     compute_oracle(points, None, work / "flows", 16, work / "oracles")

@@ -1,4 +1,4 @@
-"""Figures 6 and 7: which curves are in front, what the band is made of, and that the tables hold every point."""
+"""Figures 6 and 7: the curves in front, the points of the band, and complete tables."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def errors(labels, params):
 
 @pytest.fixture
 def drawn(monkeypatch, unwritten):
-    """Figures are not drawn; what their panels would show is kept by figure, region and error."""
+    """Figures are not drawn; their panels are kept by figure, region and error."""
     figures = []
 
     def pretend(regions, compose, *, x, title, note=""):

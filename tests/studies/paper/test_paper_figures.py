@@ -1,4 +1,4 @@
-"""Table 1 and Figures 1 to 5: what is on them, in which files, and that nothing of the grid is left out."""
+"""Table 1 and Figures 1 to 5: their content, their files, and the complete grid."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def on_scenes(name: str, **options):
 
 @pytest.fixture
 def found(monkeypatch):
-    """Middlebury data that are there, with a digest each, and need not be read."""
+    """Middlebury data that seem to be present, with a digest each, and are never read."""
     place = middlebury_data.Location(Path("m"), "test", 24)
     monkeypatch.setattr(middlebury_data, "_look_up", lambda explicit: place)
     monkeypatch.setattr(middlebury_data, "digest", lambda sequence, folder: sequence)

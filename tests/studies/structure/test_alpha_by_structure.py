@@ -1,4 +1,4 @@
-"""The structure experiment: tables on made-up errors whose best alpha is known, figures, files."""
+"""The structure experiment: its figures and files, and its tables of made-up errors with a known best alpha."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ class TestFigures:
 
 @pytest.fixture
 def small(fake_rows):
-    """The experiment's small form with made-up errors, flat the best at 0 and all else at 1."""
+    """The experiment's small form with made-up errors: flat ground is best at 0, everything else at 1."""
     experiment = load_experiment("alpha_by_structure")
     plan = plan_experiment(experiment.grids, ["dataset=synthetic"], allow_download=False, small=True)
     rows = {}
