@@ -17,22 +17,10 @@ _LINE = 64
 
 
 def aligned(shape: tuple[int, ...], dtype: npt.DTypeLike) -> Array:
-    """Return an array of zeros aligned to a cache line.
+    """Return a C-contiguous array of zeros aligned to a cache line.
 
     The columns of an image are transformed sixteen at a time (`kernels.cosine`), which is one cache line in
     float32. NumPy's own arrays are not aligned to cache lines, so that each access would touch two.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        Shape.
-    dtype : dtype-like
-        float32 or float64.
-
-    Returns
-    -------
-    ndarray
-        C-contiguous.
     """
     size = math.prod(shape) * np.dtype(dtype).itemsize
     room = np.zeros(size + _LINE, np.uint8)

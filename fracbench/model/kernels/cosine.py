@@ -174,22 +174,9 @@ def _to_fourier(work: Array, base: int, plan: LinePlan, factor: Array, sine: boo
 
 @jit
 def cosine(x: Array, axis: int, start: int, stop: int, factor: Array, plan: LinePlan, out: Array) -> None:
-    """Write ``factor(k) C(k)`` of the lines ``start..stop-1``.
+    """Write ``factor(k) C(k)`` of the lines ``start..stop-1`` of `x`, which run along `axis`; `out` may be `x`.
 
-    Parameters
-    ----------
-    x : ndarray, shape (H, W), C-contiguous
-        Image.
-    axis : {0, 1}
-        Axis along which the lines run.
-    start, stop : int
-        Lines; `start` is a multiple of LINES, and `stop` is one or the number of lines.
-    factor : ndarray, shape (n,)
-        Factors on the coefficients.
-    plan : LinePlan
-        Plan for n in x's precision.
-    out : ndarray, shape (H, W), C-contiguous
-        Coefficients; may be `x`.
+    `start` is a multiple of `LINES`, `stop` is one or the number of lines.
     """
     work, base = np.empty((2 * plan.results.size, LANES), x.dtype), int(np.intp(0))  # as in `fourier`
     for first in range(start, stop, LINES):
@@ -201,7 +188,7 @@ def cosine(x: Array, axis: int, start: int, stop: int, factor: Array, plan: Line
 
 @jit
 def cosine_back(x: Array, axis: int, start: int, stop: int, factor: Array, plan: LinePlan, out: Array) -> None:
-    """Write the lines whose cosine coefficients are ``factor(k) x(k)``; parameters as for `cosine`."""
+    """Write the lines whose cosine coefficients are ``factor(k) x(k)``; see `cosine`."""
     work, base = np.empty((2 * plan.results.size, LANES), x.dtype), int(np.intp(0))  # as in `fourier`
     for first in range(start, stop, LINES):
         gather(x, axis, first, plan.natural, work, base)
@@ -214,18 +201,10 @@ def cosine_back(x: Array, axis: int, start: int, stop: int, factor: Array, plan:
 def derivatives(
     x: Array, axis: int, start: int, stop: int, even: Array, odd: Array, plan: LinePlan, out: Array
 ) -> None:
-    """Write left and right derivatives, ``A - B`` and ``A + B``, of lines given by their cosine coefficients.
+    """Write left and right derivatives, ``A - B`` and ``A + B``, of lines given by their cosine coefficients `x`.
 
-    Parameters
-    ----------
-    x : ndarray, shape (H, W), C-contiguous
-        Cosine coefficients along `axis`.
-    axis, start, stop, plan
-        See `cosine`.
-    even, odd : ndarray, shape (n,)
-        A is the cosine series of ``even(k) x(k)``, B the sine series of ``odd(k) x(k)``.
-    out : ndarray, shape (2, 2, H, W), C-contiguous
-        By side (left, right) and direction (x, y); the direction of `axis` is written.
+    A is the cosine series of ``even(k) x(k)``, B the sine series of ``odd(k) x(k)``. `out`, shape (2, 2, H, W), is
+    by side (left, right) and direction (x, y); the direction of `axis` is written.
     """
     n = plan.results.size
     work = np.empty((4 * n, LANES), x.dtype)
@@ -264,20 +243,9 @@ def derivatives_adjoint(
     plan: LinePlan,
     out: Array,
 ) -> None:
-    """Write the cosine coefficients of the adjoint of `derivatives`, applied to the lines of `d`.
+    """Write the cosine coefficients of the adjoint of `derivatives`, applied to the lines of `d`, (2, 2, H, W).
 
-    Parameters
-    ----------
-    d : ndarray, shape (2, 2, H, W), C-contiguous
-        By side and direction; the direction of `axis` is read.
-    v : ndarray, shape (H, W), C-contiguous
-        ``direct(k)`` times its cosine coefficients are added.
-    axis, start, stop, even, odd, plan
-        See `derivatives`.
-    direct : ndarray, shape (n,) or (0,)
-        See `v`; (0,) for nothing to add.
-    out : ndarray, shape (H, W), C-contiguous
-        Cosine coefficients along `axis`.
+    ``direct(k)`` times the cosine coefficients of `v` are added, unless `direct` is empty.
     """
     n = plan.results.size
     work = np.empty((4 * n, LANES), d.dtype)

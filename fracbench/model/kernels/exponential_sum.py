@@ -28,15 +28,7 @@ _MOST_TERMS = 16
 
 
 class ExponentialSum(NamedTuple):
-    """Weights ``taps(0), taps(1)``, and ``sum_m factors(m) ratios(m)^(k - 2)`` from ``k = 2`` on.
-
-    Attributes
-    ----------
-    taps : ndarray, shape (2,)
-        The first weights.
-    ratios, factors : ndarray, shape (M,)
-        The exponentials.
-    """
+    """Weights ``taps(0), taps(1)``, and ``sum_m factors(m) ratios(m)^(k - 2)`` from ``k = 2`` on."""
 
     taps: Array
     ratios: Array
@@ -44,22 +36,11 @@ class ExponentialSum(NamedTuple):
 
 
 def exponential_sum(weights: Float64Array, dtype: np.dtype | type) -> ExponentialSum | None:
-    """Fit a sum of a few exponentials to given weights.
+    """Fit a sum of a few exponentials to at least eight Gruenwald-Letnikov weights.
 
     In the space of the first singular vectors of the weights' Hankel matrix, the shift by one is a matrix whose
-    eigenvalues are the ratios (ESPRIT, Roy and Kailath 1989).
-
-    Parameters
-    ----------
-    weights : ndarray, shape (n,), float64
-        Gruenwald-Letnikov weights, at least eight.
-    dtype : dtype-like
-        Precision of the result.
-
-    Returns
-    -------
-    ExponentialSum or None
-        None if `TOLERANCE` cannot be kept with real ratios in (0, 1).
+    eigenvalues are the ratios (ESPRIT, Roy and Kailath 1989). Return None if `TOLERANCE` cannot be kept with real
+    ratios in (0, 1).
     """
     tail = weights[TAPS:]
     half = len(tail) // 2
@@ -84,20 +65,7 @@ def convolve(
 ) -> None:
     """Write ``sum_k w_k x(j - k)``, or ``x(j + k)`` in reverse, of the lines ``start..stop-1``, x being 0 outside.
 
-    Parameters
-    ----------
-    x : ndarray, shape (H, W), C-contiguous
-        Image.
-    axis : {0, 1}
-        Axis along which the lines run.
-    start, stop : int
-        Lines; `start` is a multiple of `LINES`.
-    weights : ExponentialSum
-        ``w_k``, in x's precision.
-    reverse : bool
-        The adjoint.
-    out : ndarray, shape (H, W), C-contiguous
-        May be `x`.
+    The lines run along `axis`; `start` is a multiple of `LINES`; `out` may be `x`.
     """
     n, terms = x.shape[axis], weights.ratios.size
     taps, ratios, factors = weights

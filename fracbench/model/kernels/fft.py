@@ -22,42 +22,19 @@ class LinePlan(NamedTuple):
 
     The Fourier transform leaves its results in digit-reversed order (decimation in frequency). They are never
     moved: a reader looks up the row of a result.
-
-    Attributes
-    ----------
-    radices : ndarray of int
-        Lengths of the Fourier transform's passes.
-    starts, root_starts : ndarray of int
-        Where the twiddle factors and the roots of each pass begin.
-    together : int
-        Number of passes over all rows, after which the remaining shorter transforms are done one by one.
-    results : ndarray of int, shape (n,)
-        Row of each result of the Fourier transform.
-    forth : ndarray of int, shape (n,)
-        Row of each sample before a transform: the even samples first, then the odd ones in reverse.
-    back : ndarray of int, shape (n,)
-        Row of each sample after an inverse transform.
-    natural : ndarray of int, shape (n,)
-        0, 1, ... n-1.
-    twiddles : ndarray, shape (2, number)
-        Cosines and sines of the passes, one after the other.
-    roots : ndarray, shape (number, 4)
-        Cosines and sines of the odd radices above 5, as `_odd_radix` takes them.
-    quarter : ndarray, shape (2, n)
-        ``cos(pi k / (2 n))`` and ``sin(pi k / (2 n))``.
     """
 
-    radices: NDArray[np.intp]
-    starts: NDArray[np.intp]
-    root_starts: NDArray[np.intp]
-    together: int
-    results: NDArray[np.intp]
-    forth: NDArray[np.intp]
-    back: NDArray[np.intp]
-    natural: NDArray[np.intp]
-    twiddles: Array
-    roots: Array
-    quarter: Array
+    radices: NDArray[np.intp]  # lengths of the Fourier transform's passes
+    starts: NDArray[np.intp]  # where the twiddle factors of each pass begin...
+    root_starts: NDArray[np.intp]  # ...and its roots
+    together: int  # passes over all rows, after which the remaining shorter transforms are done one by one
+    results: NDArray[np.intp]  # row of each result of the Fourier transform
+    forth: NDArray[np.intp]  # row of each sample before a transform: even ones, then odd ones in reverse
+    back: NDArray[np.intp]  # row of each sample after an inverse transform
+    natural: NDArray[np.intp]  # 0, 1, ... n-1
+    twiddles: Array  # (2, number): cosines and sines of the passes, one after the other
+    roots: Array  # (number, 4): cosines and sines of the odd radices above 5, as `_odd_radix` takes them
+    quarter: Array  # (2, n): cos(pi k / (2 n)) and sin(pi k / (2 n))
 
 
 #: Shorter transforms of so many rows are done one by one: 6 to 16 KB in float32, which fit the first-level cache.
@@ -67,20 +44,7 @@ LEAST_ROWS, MOST_ROWS = 96, 256
 
 @lru_cache(maxsize=128)
 def line_plan(n: int, dtype: np.dtype) -> LinePlan:
-    """Return the plan for lines of length `n`.
-
-    Parameters
-    ----------
-    n : int
-        Length, at least 1. Any length works; a prime factor above 5 costs its square.
-    dtype : dtype
-        float32 or float64.
-
-    Returns
-    -------
-    LinePlan
-        The plan.
-    """
+    """Return the plan for lines of length `n`. Any length works; a prime factor above 5 costs its square."""
     radices = _radices(n)
     twiddles, roots, rests = [], [np.zeros((0, 4))], [n]
     for radix in radices:

@@ -10,16 +10,9 @@ from fracbench.model.kernels.jit import jit
 
 @jit
 def differentiate_row(u: Array, i: int, d: Array) -> None:
-    """Write the x-differences of row `i` of `u` and the y-differences of the row above, which ends there.
+    """Write the x-differences of row `i` of `u` and the y-differences of the row above to `d`, (1, 2, H, W).
 
-    Parameters
-    ----------
-    u : ndarray, shape (H, W)
-        Image; rows ``i - 1`` and `i` are read.
-    i : int
-        Row, 0 to H; H, one row below the image, writes the y-differences of the last row, which are 0.
-    d : ndarray, shape (1, 2, H, W)
-        Output.
+    Row H, one below the image, writes the y-differences of the last row, which are 0.
     """
     height, width = u.shape
     if i < height:
@@ -35,21 +28,7 @@ def differentiate_row(u: Array, i: int, d: Array) -> None:
 
 @jit
 def right_hand_side_row(v: Array, w: Array, theta: float, mu: float, i: int, out: Array) -> None:
-    """Write row `i` of ``v/theta + mu D^T w``, D^T being minus the divergence.
-
-    Parameters
-    ----------
-    v : ndarray, shape (H, W)
-        Data.
-    w : ndarray, shape (1, 2, H, W)
-        ``d - b``.
-    theta, mu : float
-        Tightness and split Bregman parameter.
-    i : int
-        Row.
-    out : ndarray, shape (W,)
-        Output.
-    """
+    """Write row `i` of ``v/theta + mu D^T w`` to `out`, (W,), D^T being minus the divergence."""
     height, width = v.shape
     direct, penalty = v.dtype.type(1.0 / theta), v.dtype.type(mu)  # or all would be computed in float64
     out[0] = 0.0
@@ -84,21 +63,7 @@ def right_hand_side(v: Array, w: Array, theta: float, mu: float, out: Array) -> 
 def column_pivots(direct: Float64Array, mu: float, height: int, dtype: np.dtype | type) -> Array:
     """Factorise the columns' tridiagonal systems ``direct(j) + mu Ny``: the u-step once x is transformed.
 
-    Parameters
-    ----------
-    direct : ndarray, shape (W,), float64
-        ``1/theta + mu lx``, positive.
-    mu : float
-        Split Bregman parameter.
-    height : int
-        Length of the columns.
-    dtype : dtype-like
-        Precision of the result.
-
-    Returns
-    -------
-    ndarray, shape (rows, W)
-        Inverse pivots, row by row until they are constant, and last those of the last row.
+    Return the inverse pivots row by row until they are constant, and last those of the last row.
     """
     if height == 1:
         return (1.0 / direct[None]).astype(dtype)
@@ -112,19 +77,7 @@ def column_pivots(direct: Float64Array, mu: float, height: int, dtype: np.dtype 
 
 @jit
 def solve_columns(x: Array, mu: float, inverse: Array, start: int, stop: int) -> None:
-    """Solve the columns' systems by elimination from the first row to the last, and back.
-
-    Parameters
-    ----------
-    x : ndarray, shape (H, W)
-        Right-hand sides, overwritten by the solutions.
-    mu : float
-        Split Bregman parameter.
-    inverse : ndarray, shape (rows, W)
-        From `column_pivots`, in the precision of `x`.
-    start, stop : int
-        The columns to take.
-    """
+    """Solve the columns ``start..stop-1`` by elimination from the first row to the last, and back."""
     penalty, last, settled = x.dtype.type(mu), len(x) - 1, len(inverse) - 2
     # slices from `start`, as a loop whose index begins there is not vectorised
     for i in range(last + 1):

@@ -30,15 +30,7 @@ _DIGEST = hashlib.sha256(b"".join(path.read_bytes() for path in sorted(_MODEL.rg
 def jit(function: F) -> F:
     """Compile `function` (GIL released, single-threaded; cached on disk where that is possible and safe).
 
-    Parameters
-    ----------
-    function : callable
-        A loop over arrays in the subset of Python that numba compiles.
-
-    Returns
-    -------
-    callable
-        The compiled function; `function` itself under ``NUMBA_DISABLE_JIT=1``.
+    Under ``NUMBA_DISABLE_JIT=1`` it is returned as it is.
     """
     try:
         compiled = numba.njit(cache=True, **_OPTIONS)(function)

@@ -29,40 +29,17 @@ from fracbench.model.kernels.simd import LANES
 
 
 class LineGains(NamedTuple):
-    """The factorisation of the lines' systems.
+    """The factorisation of the lines' systems."""
 
-    Attributes
-    ----------
-    rows : ndarray, shape (number, 2 (M + 2), LANES)
-        ``1 / r`` and the gains on x, of `LINES` lines each, in the precision of the weights.
-    which : ndarray of int, shape (ceil(lines / LINES), n)
-        Row of each block of lines and each sample, counted from the last one. The gains converge, so that many
-        samples have the same row.
-    """
-
+    #: ``1 / r`` and the gains on x, of `LINES` lines each, (number, 2 (M + 2), LANES).
     rows: Array
+    #: Row of each block of lines and each sample, counted from the last one, (blocks, n). The gains converge, so
+    #: that many samples have the same row.
     which: NDArray[np.intp]
 
 
 def line_gains(weights: ExponentialSum, direct: Float64Array, mu: float, n: int) -> LineGains:
-    """Factorise the lines' systems, ``direct(i) + mu T^T T``.
-
-    Parameters
-    ----------
-    weights : ExponentialSum
-        The left derivative T; the first weight is 1.
-    direct : ndarray, shape (lines,), float64
-        ``1/theta + mu l`` with the other axis' eigenvalues l, positive.
-    mu : float
-        Split Bregman parameter.
-    n : int
-        Length of the lines.
-
-    Returns
-    -------
-    LineGains
-        For `solve_lines`.
-    """
+    """Factorise the lines' systems, ``direct(i) + mu T^T T``; the first weight of T is 1."""
     blocks, dtype = math.ceil(len(direct) / LINES), weights.ratios.dtype
     lanes = np.pad(direct, (0, blocks * LINES - len(direct)), mode="edge").reshape(blocks, LINES)
     known = np.concatenate([weights.taps[1:], weights.factors]).astype(np.float64)
@@ -156,21 +133,7 @@ def _step_back(
 
 @jit
 def solve_lines(x: Array, axis: int, start: int, stop: int, ratios: Array, gains: LineGains) -> None:
-    """Solve the systems of the lines ``start..stop-1``.
-
-    Parameters
-    ----------
-    x : ndarray, shape (H, W), C-contiguous
-        Right-hand sides, overwritten by the solutions.
-    axis : {0, 1}
-        Axis along which the lines run.
-    start, stop : int
-        Lines; `start` is a multiple of `LINES`.
-    ratios : ndarray, shape (M,)
-        Of the exponentials, in x's precision.
-    gains : LineGains
-        From `line_gains`.
-    """
+    """Solve the systems of the lines ``start..stop-1`` of `x`, which run along `axis`; see `line_gains`."""
     n, terms = x.shape[axis], ratios.size
     rows, which = gains
     natural = np.arange(n)

@@ -17,23 +17,11 @@ GRADIENT_IS_ZERO = 1e-10
 
 @jit
 def threshold(u: Array, rho_c: Array, gradient: Array, lambda_theta: float, v: Array) -> None:
-    """Write ``v = u + TH(u, u0)``, equations (iterv) and (thresholding).
+    """Write ``v = u + TH(u, u0)``, equations (iterv) and (thresholding), for a flow `u`, (2, H, W).
 
     For each pixel `v` minimises ``|u - v|^2 / (2 theta) + lambda |rho(v)|`` with
-    ``rho(v) = rho_c + gradient . v``. The third case of TH is read as ``|rho| <= ...`` (errata, item 4).
-
-    Parameters
-    ----------
-    u : ndarray, shape (2, H, W)
-        Flow.
-    rho_c : ndarray, shape (H, W)
-        Constant part of the residual, ``I1w - grad I1w . u0 - I0``.
-    gradient : ndarray, shape (2, H, W)
-        Warped image gradient ``grad I1w``.
-    lambda_theta : float
-        ``lambda * theta``.
-    v : ndarray, shape (2, H, W)
-        Output.
+    ``rho(v) = rho_c + gradient . v`` and ``rho_c = I1w - grad I1w . u0 - I0``. The third case of TH is read as
+    ``|rho| <= ...`` (errata, item 4).
     """
     _, height, width = u.shape
     real = u.dtype.type  # or all would be computed in float64
@@ -76,26 +64,9 @@ def coupled_threshold(
     The data term ``F(w) = min_v |w - v|^2 / (2 theta) + lambda |rho(v)|`` is given a flow ``w`` of its own.
     With ``z = u + c``: ``v = z + TH(z)`` for the tightness ``theta + step``, ``w = z + step / (step + theta)
     (v - z)``, ``c <- z - w``; the u-step then regularises ``target = w - c`` with the tightness `step`. The
-    minimiser is that of E(u, v); the paper's alternation is ``c = 0``, ``w = v``, ``step = theta``.
-
-    Parameters
-    ----------
-    u : ndarray, shape (2, H, W)
-        Flow.
-    rho_c, gradient : ndarray, shapes (H, W) and (2, H, W)
-        The residual, as in `threshold`.
-    lambda_, theta : float
-        Data attachment weight and tightness.
-    step : float
-        Inverse of the penalty on the constraint.
-    relaxation : float
-        In place of u takes ``relaxation u + (1 - relaxation) w``, with the last w; 1 for none.
-    c : ndarray, shape (2, H, W)
-        Multiplier, overwritten.
-    target : ndarray, shape (2, H, W)
-        The last target of the u-step, overwritten by the next.
-    start, stop : int
-        The rows of the image to take.
+    minimiser is that of E(u, v); the paper's alternation is ``c = 0``, ``w = v``, ``step = theta``. In place of u
+    the step takes ``relaxation u + (1 - relaxation) w``, with the last w. The rows ``start..stop-1`` of `c` and
+    `target` are overwritten.
     """
     real = u.dtype.type  # or all would be computed in float64
     share, longest = real(step / (step + theta)), real(lambda_ * (theta + step))
@@ -127,21 +98,9 @@ def coupled_threshold(
 
 
 def weight_at(weights: Any, pair: int, pairs: int, i: int, j: int) -> Any:
-    """Return the weight of a pair of derivatives at a pixel.
+    """Return the weight of a pair of derivatives at a pixel: one for all, or `weights` of shape (K, h, w).
 
-    Parameters
-    ----------
-    weights : float or ndarray, shape (K, h, w)
-        One weight for all, or planes each of which serves ``pairs / K`` consecutive pairs.
-    pair, pairs : int
-        Which of how many.
-    i, j : int
-        Row and column.
-
-    Returns
-    -------
-    float
-        The weight.
+    Each plane serves ``pairs / K`` consecutive pairs.
     """
     return weights[pair * len(weights) // pairs, i, j] if isinstance(weights, np.ndarray) else weights
 
@@ -155,21 +114,11 @@ def _compile_weight_at(weights: Any, pair: Any, pairs: Any, i: Any, j: Any) -> A
 
 @jit
 def shrink_difference(z: Array, threshold: Any, w: Array, start: int, stop: int) -> None:
-    """Write ``d - b``, the input of the u-step, for ``d = shrink(z, threshold)`` and ``b = z - d``.
+    """Write ``d - b``, the input of the u-step: ``d = shrink(z, threshold)``, ``b = z - d`` and ``z = D u + b``.
 
     The shrinkage is isotropic: each (x, y) pair by its euclidean norm, shrink(0) = 0; equation (shrinkalpha).
-    b, equation (csbalpha), is the projection of z on the ball of radius `threshold`.
-
-    Parameters
-    ----------
-    z : ndarray, shape (pairs, 2, h, w)
-        ``D u + b``.
-    threshold : float or ndarray, shape (K, h, w)
-        ``1 / mu``; see `weight_at` for an array.
-    w : ndarray, shape (pairs, 2, h, w)
-        Output.
-    start, stop : int
-        The rows to take.
+    b, equation (csbalpha), is the projection of z on the ball of radius `threshold`, which is ``1 / mu`` or an
+    array of them (`weight_at`). Arrays are (pairs, 2, h, w); the rows ``start..stop-1`` are taken.
     """
     pairs, _, _, width = z.shape
     real = z.dtype.type  # or all would be computed in float64
@@ -189,18 +138,8 @@ def shrink_difference(z: Array, threshold: Any, w: Array, start: int, stop: int)
 def bregman_update(du: Array, threshold: Any, relaxation: float, z: Array, start: int, stop: int) -> None:
     """Update ``z <- D u + b``, the state of split Bregman: d and b follow from it (`shrink_difference`).
 
-    Parameters
-    ----------
-    du : ndarray, shape (pairs, 2, h, w)
-        Derivatives of u.
-    threshold : float or ndarray, shape (K, h, w)
-        ``1 / mu``; see `weight_at` for an array.
-    relaxation : float
-        In place of D u takes ``relaxation D u + (1 - relaxation) d``, with the last d; 1 for none.
-    z : ndarray, shape (pairs, 2, h, w)
-        State, overwritten by the next; 0 means that d = b = 0.
-    start, stop : int
-        The rows to take.
+    In place of D u the update takes ``relaxation D u + (1 - relaxation) d``, with the last d. A state of 0 means
+    that d = b = 0.
     """
     pairs, _, _, width = z.shape
     real = z.dtype.type  # or all would be computed in float64
@@ -219,15 +158,7 @@ def bregman_update(du: Array, threshold: Any, relaxation: float, z: Array, start
 
 @jit
 def divide_by_sum(x: Array, along_y: Array, along_x: Array) -> None:
-    """Replace `x` by ``x / (along_y(i) + along_x(j))``: the u-step in the basis of the gradient.
-
-    Parameters
-    ----------
-    x : ndarray, shape (H, W)
-        Coefficients of the right-hand side, overwritten by those of u.
-    along_y, along_x : ndarray, shapes (H,) and (W,), float64
-        From `fracbench.model.operators.base.GradientOperator.factor`.
-    """
+    """Replace `x` by ``x / (along_y(i) + along_x(j))``: the u-step in the basis of the gradient."""
     ys, xs = along_y.astype(x.dtype), along_x.astype(x.dtype)  # or all would be computed in float64
     for i in range(len(x)):
         for j in range(x.shape[1]):
@@ -245,18 +176,7 @@ def add_and_divide(x: Array, y: Array, along_y: Array, along_x: Array, start: in
 
 @jit
 def mean_squared_change(a: Array, b: Array) -> float:
-    """Return the mean over pixels of ``|a - b|^2``, summed over components, in float64.
-
-    Parameters
-    ----------
-    a, b : ndarray, shape (C, H, W)
-        Two iterates.
-
-    Returns
-    -------
-    float
-        The paper's stopping measure (section 3.4), square pixels.
-    """
+    """Return the mean over pixels of ``|a - b|^2``, summed over components, in float64 (section 3.4)."""
     total, zero = 0.0, a.dtype.type(0.0)
     components, height, width = a.shape
     for c in range(components):

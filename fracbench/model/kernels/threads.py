@@ -28,18 +28,7 @@ _pool: ContextVar[ThreadPoolExecutor] = ContextVar("pool")
 
 @contextmanager
 def use_threads(number: int) -> Iterator[None]:
-    """Let the solver use several threads within a ``with`` block; one by default.
-
-    Parameters
-    ----------
-    number : int
-        Threads.
-
-    Raises
-    ------
-    InputError
-        Fewer than one.
-    """
+    """Let the solver use `number` threads within a ``with`` block; one by default."""
     if number < 1:
         raise InputError(f"`threads` must be at least 1, got {number}")
     with ThreadPoolExecutor(number, "fracbench") as pool, _team(pool, number):
@@ -72,18 +61,10 @@ def count() -> int:
 
 
 def parallel_for(work: Callable[[int, int], object], lines: int, least: int = LEAST_LINES) -> None:
-    """Call ``work(start, stop)`` in parallel for ranges that make up ``0..lines-1``.
+    """Call ``work(start, stop)`` in parallel for ranges that make up ``0..lines-1``, none shorter than `least`.
 
-    Within a range `work` may call `parallel_for` again; it then gets its part of the threads.
-
-    Parameters
-    ----------
-    work : callable
-        A compiled loop over lines, which releases the GIL and writes each line independently of the others.
-    lines : int
-        Number of lines.
-    least : int, optional
-        Smallest range worth a thread of its own.
+    `work` releases the GIL and writes each line independently of the others. Within a range it may call
+    `parallel_for` again; it then gets its part of the threads.
     """
     parts = 1 if count() == 1 else min(count(), max(1, lines // least))
     if parts == 1:

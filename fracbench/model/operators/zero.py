@@ -24,21 +24,9 @@ BLOCK_ROWS = 240
 
 
 def gl_weights(alpha: float, n: int) -> Float64Array:
-    """Return the first `n` Gruenwald-Letnikov weights, ``(-1)^k binom(alpha, k)``.
+    """Return the first `n` Gruenwald-Letnikov weights, ``(-1)^k binom(alpha, k)``, shape (n,), float64.
 
     The recurrence of section 3.2: ``w_0 = 1``, ``w_k = (1 - (alpha + 1) / k) w_{k-1}``.
-
-    Parameters
-    ----------
-    alpha : float
-        Order of the derivative.
-    n : int
-        Number of weights.
-
-    Returns
-    -------
-    ndarray, shape (n,), float64
-        The weights.
     """
     factors = np.ones(n)
     k = np.arange(1, n)
@@ -47,17 +35,14 @@ def gl_weights(alpha: float, n: int) -> Float64Array:
 
 
 def left_derivative_matrix(alpha: float, n: int, pad: int = 0) -> Float64Array:
-    """Return the left derivative on `n` samples as a dense matrix.
+    """Return the left derivative of the order `alpha` on `n` samples, u being 0 outside them, as a dense matrix.
 
     Parameters
     ----------
-    alpha : float
-        Order of the derivative.
-    n : int
-        Number of samples; u is 0 outside them.
+    alpha, n
+        Order of the derivative, number of samples.
     pad : int, optional
-        Number of points after the last sample at which the derivative is evaluated as well
-        (before the first sample it is 0).
+        Points after the last sample at which the derivative is evaluated as well (before the first it is 0).
 
     Returns
     -------
@@ -72,19 +57,8 @@ def left_derivative_matrix(alpha: float, n: int, pad: int = 0) -> Float64Array:
 class LeftDerivative:
     """The left derivative along one axis, `left_derivative_matrix`, in the faster of two forms.
 
-    Parameters
-    ----------
-    alpha, n, pad
-        See `left_derivative_matrix`.
-    dtype : dtype-like
-        Precision.
-
-    Attributes
-    ----------
-    memory : ExponentialSum or None
-        The weights as a sum of exponentials: exact for a whole order, else in single precision on long lines.
-    matrices : tuple of ndarray
-        Without `memory`, the matrix and its transpose (a product from the right is faster with the latter).
+    `memory` holds the weights as a sum of exponentials: exact for a whole order, else in single precision on long
+    lines. Without it `matrices` are the matrix and its transpose, with which products from the right are faster.
     """
 
     def __init__(self, alpha: float, n: int, pad: int, dtype: np.dtype | type) -> None:
