@@ -15,9 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracbench.model.kernels.arrays import Array
-from fracbench.model.kernels.fft import LinePlan, fourier, load_complex, store_complex
+from fracbench.model.kernels.fft import LinePlan, fourier
 from fracbench.model.kernels.jit import jit
-from fracbench.model.kernels.simd import LANES, load, load_row, store, store_row, transpose
+from fracbench.model.kernels.simd import (
+    LANES,
+    gather_square,
+    load,
+    load_complex,
+    scatter_square,
+    store,
+    store_complex,
+)
 
 #: Lines that are transformed together.
 LINES = 2 * LANES
@@ -43,26 +51,14 @@ def gather(image: Array, axis: int, first: int, rows: NDArray[np.intp], work: Ar
 def _gather_eight(image: Array, axis: int, first: int, rows: NDArray[np.intp], work: Array, part: int) -> None:
     n, count = image.shape[axis], image.shape[1 - axis]
     done = 0
-    if first + LANES <= count:
-        done = n - n % LANES if axis == 1 else n
-        for j in range(n if axis == 0 else 0):
-            store_row(work, 2 * rows[j] + part, load(image, j, first))
-        for j in range(0, done if axis == 1 else 0, LANES):
-            r = first
-            turned = transpose(
-                (
-                    load(image, r, j), load(image, r + 1, j), load(image, r + 2, j), load(image, r + 3, j),
-                    load(image, r + 4, j), load(image, r + 5, j), load(image, r + 6, j), load(image, r + 7, j),
-                )
-            )  # fmt: skip
-            store_row(work, 2 * rows[j] + part, turned[0])
-            store_row(work, 2 * rows[j + 1] + part, turned[1])
-            store_row(work, 2 * rows[j + 2] + part, turned[2])
-            store_row(work, 2 * rows[j + 3] + part, turned[3])
-            store_row(work, 2 * rows[j + 4] + part, turned[4])
-            store_row(work, 2 * rows[j + 5] + part, turned[5])
-            store_row(work, 2 * rows[j + 6] + part, turned[6])
-            store_row(work, 2 * rows[j + 7] + part, turned[7])
+    if first + LANES <= count and axis == 0:
+        for j in range(n):
+            store(work, 2 * rows[j] + part, 0, load(image, j, first))
+        done = n
+    elif first + LANES <= count:
+        done = n - n % LANES
+        for j in range(0, done, LANES):
+            gather_square(image, first, j, rows, work, part)
     for i in range(LANES):
         line = min(first + i, count - 1)
         for j in range(done, n):
@@ -89,27 +85,14 @@ def scatter(
 def _scatter_eight(work: Array, part: int, rows: NDArray[np.intp], image: Array, axis: int, first: int) -> None:
     n, count = image.shape[axis], image.shape[1 - axis]
     done = 0
-    if first + LANES <= count:
-        done = n - n % LANES if axis == 1 else n
-        for j in range(n if axis == 0 else 0):
-            store(image, j, first, load_row(work, 2 * rows[j] + part))
-        for j in range(0, done if axis == 1 else 0, LANES):
-            turned = transpose(
-                (
-                    load_row(work, 2 * rows[j] + part), load_row(work, 2 * rows[j + 1] + part),
-                    load_row(work, 2 * rows[j + 2] + part), load_row(work, 2 * rows[j + 3] + part),
-                    load_row(work, 2 * rows[j + 4] + part), load_row(work, 2 * rows[j + 5] + part),
-                    load_row(work, 2 * rows[j + 6] + part), load_row(work, 2 * rows[j + 7] + part),
-                )
-            )  # fmt: skip
-            store(image, first, j, turned[0])
-            store(image, first + 1, j, turned[1])
-            store(image, first + 2, j, turned[2])
-            store(image, first + 3, j, turned[3])
-            store(image, first + 4, j, turned[4])
-            store(image, first + 5, j, turned[5])
-            store(image, first + 6, j, turned[6])
-            store(image, first + 7, j, turned[7])
+    if first + LANES <= count and axis == 0:
+        for j in range(n):
+            store(image, j, first, load(work, 2 * rows[j] + part, 0))
+        done = n
+    elif first + LANES <= count:
+        done = n - n % LANES
+        for j in range(0, done, LANES):
+            scatter_square(work, rows, part, image, first, j)
     for i in range(min(LANES, count - first)):
         for j in range(done, n):
             if axis == 1:

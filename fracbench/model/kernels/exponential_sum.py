@@ -16,9 +16,8 @@ import scipy.linalg
 
 from fracbench.model.kernels.arrays import Array, Float64Array
 from fracbench.model.kernels.cosine import LINES, gather, scatter
-from fracbench.model.kernels.fft import load_complex, store_complex
 from fracbench.model.kernels.jit import jit
-from fracbench.model.kernels.simd import LANES
+from fracbench.model.kernels.simd import LANES, load_complex, store_complex
 
 #: Number of weights kept as they are; the sum of exponentials begins after them.
 TAPS = 2

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fracbench.model.kernels.arrays import Array
 from fracbench.model.kernels.jit import jit
-from fracbench.model.kernels.simd import LANES, Lanes, load_row, store_row
+from fracbench.model.kernels.simd import LANES, Lanes, load_complex, store_complex
 
 
 class LinePlan(NamedTuple):
@@ -110,19 +110,6 @@ def _odd_roots(radix: int) -> NDArray[np.float64]:
 def _cosines_and_sines(angles: list[NDArray[np.float64]], dtype: np.dtype) -> Array:
     angle = np.concatenate(angles) if angles else np.zeros(0)
     return np.array([np.cos(angle), np.sin(angle)]).astype(dtype)
-
-
-@jit
-def load_complex(work: Array, row: int) -> tuple[Lanes, Lanes]:
-    """Return the real and the imaginary part of a row."""
-    return load_row(work, 2 * row), load_row(work, 2 * row + 1)
-
-
-@jit
-def store_complex(work: Array, row: int, x: Lanes, y: Lanes) -> None:
-    """Write the real and the imaginary part of a row."""
-    store_row(work, 2 * row, x)
-    store_row(work, 2 * row + 1, y)
 
 
 @jit

@@ -23,9 +23,8 @@ from numpy.typing import NDArray
 from fracbench.model.kernels.arrays import Array, Float64Array
 from fracbench.model.kernels.cosine import LINES, gather, scatter
 from fracbench.model.kernels.exponential_sum import ExponentialSum
-from fracbench.model.kernels.fft import load_complex, store_complex
 from fracbench.model.kernels.jit import jit
-from fracbench.model.kernels.simd import LANES
+from fracbench.model.kernels.simd import LANES, load_complex, store_complex
 
 
 class LineGains(NamedTuple):

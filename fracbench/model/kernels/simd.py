@@ -12,46 +12,52 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from numba import config
+from numpy.typing import NDArray
+
+from fracbench.model.kernels.arrays import Array
 
 LANES = 8
 #: Eight numbers.
 Lanes: TypeAlias = Any
-
-load: Any
-store: Any
-load_row: Any
-store_row: Any
-transpose: Any
+#: Whether the transforms of `kernels` can be used; else the operators take SciPy's and dense products.
+AVAILABLE = True
 
 
-def _load_row(work: Any, row: int) -> Any:
-    return work[row].copy()
-
-
-def _store_row(work: Any, row: int, value: Any) -> None:
-    work[row] = value
-
-
-def _load(array: Any, row: int, column: int) -> Any:
+def load(array: Array, row: int, column: int) -> Lanes:
+    """Read eight neighbours of an image's row."""
     return array[row, column : column + LANES].copy()
 
 
-def _store(array: Any, row: int, column: int, value: Any) -> None:
+def store(array: Array, row: int, column: int, value: Lanes) -> None:
+    """Write eight neighbours of an image's row."""
     array[row, column : column + LANES] = value
 
 
-def _transpose(rows: Any) -> Any:
-    return tuple(np.array(rows).T)
+def load_complex(work: Array, row: int) -> tuple[Lanes, Lanes]:
+    """Read row `row` of a workspace: its rows ``2 row`` and ``2 row + 1`` are the real and the imaginary part."""
+    return work[2 * row].copy(), work[2 * row + 1].copy()
 
 
-load, store, load_row, store_row, transpose = _load, _store, _load_row, _store_row, _transpose
-#: Whether the transforms of `kernels` can be used; else the operators take SciPy's and dense products.
-AVAILABLE = True
+def store_complex(work: Array, row: int, x: Lanes, y: Lanes) -> None:
+    """Write row `row` of a workspace."""
+    work[2 * row], work[2 * row + 1] = x, y
+
+
+def gather_square(image: Array, first: int, j: int, rows: NDArray[np.intp], work: Array, part: int) -> None:
+    """Copy the columns ``j..j+7`` of eight rows of `image` to the rows ``2 rows[j] + part`` of `work`."""
+    work[2 * rows[j : j + LANES] + part] = image[first : first + LANES, j : j + LANES].T
+
+
+def scatter_square(work: Array, rows: NDArray[np.intp], part: int, image: Array, first: int, j: int) -> None:
+    """Undo `gather_square`."""
+    image[first : first + LANES, j : j + LANES] = work[2 * rows[j : j + LANES] + part].T
+
+
 if not config.DISABLE_JIT:  # type: ignore[attr-defined]
     try:
         from fracbench.model.kernels import vector_type
     except (ImportError, AttributeError, TypeError):  # another numba, whose extension interface has changed
         AVAILABLE = False
     else:
-        load, store, transpose = vector_type.load, vector_type.store, vector_type.transpose
-        load_row, store_row = vector_type.load_row, vector_type.store_row
+        for name in ("load", "store", "load_complex", "store_complex", "gather_square", "scatter_square"):
+            globals()[name] = getattr(vector_type, name)
