@@ -1,4 +1,4 @@
-"""Renew the committed tables and figures, and the answer in README.md, from what the working folder has computed.
+"""Renew the committed tables and figures, and the answer in README.md, from the results of the working folder.
 
 Run as ``make publish``, after ``make paper`` and ``make beyond``, from a clean commit and on Middlebury.
 """
@@ -28,7 +28,7 @@ PICTURES = {
 
 
 def computed(results: Path) -> list[Path]:
-    """Return the files to publish, relative to the results folder: the whole paper's and those beyond it."""
+    """Return the files to publish, relative to the results folder: the paper's and those beyond it."""
     names = "|".join((*PAPER, *EXPERIMENTS, "answer", "claims"))
     wanted = re.compile(rf"(?!\.)({names})(_\w+)?\.\w+")
     endings = tuple(suffix for suffix in SUFFIXES if suffix)
@@ -41,20 +41,10 @@ def computed(results: Path) -> list[Path]:
 
 
 def problems(results: Path, committed: Path, sources: Sources) -> list[str]:
-    """Say why the files cannot be published, a line each; nothing if they can.
+    """Return the reasons why the files cannot be published, a line each; none if they can.
 
-    Parameters
-    ----------
-    results, committed : Path
-        The folder of what is computed, and that of the committed copies.
-    sources : Sources
-        The stored points.
-
-    Returns
-    -------
-    list of str
-        Synthetic data, points that are missing or come from a commit with local changes, files that are missing
-        or tell of such a commit.
+    Reasons are synthetic data, points that are missing or come from a commit with local changes, and files that
+    are missing or name such a commit. `results` holds the computed files, `committed` the copies.
     """
     if sources.stand_in:
         return ["the Middlebury sequences are not at hand: the tables would be of synthetic scenes"]

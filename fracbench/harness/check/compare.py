@@ -1,4 +1,4 @@
-"""Two runs cell by cell: the rows of two stores, or the stored tables of two commits."""
+"""Comparison of two runs cell by cell: the rows of two stores, or the stored tables of two commits."""
 
 from __future__ import annotations
 
@@ -26,40 +26,17 @@ _STORES = ("store.sqlite", "runs/store.sqlite", "results/runs/store.sqlite")
 
 @dataclass(frozen=True)
 class Side:
-    """One of two things to be compared.
-
-    Attributes
-    ----------
-    title : str
-        What it is, in one line.
-    rows : dict of str to Row, or None
-        Of a store, by identity: the same point has the same identity whatever it was computed with.
-    tables : dict of str to pandas.DataFrame
-        Of a commit, by name; every cell as text.
-    """
+    """One side of a comparison: the rows of a store, or the stored tables of a commit."""
 
     title: str
-    rows: Mapping[str, Row] | None
-    tables: Mapping[str, pd.DataFrame]
+    rows: Mapping[str, Row] | None  #: by identity, which does not depend on the solver's version or the machine
+    tables: Mapping[str, pd.DataFrame]  #: by name, every cell as text
 
 
 def open_side(text: str) -> Side:
-    """Find what one side of a comparison stands for.
+    """Read one side: a store or folder of results, ``STORE@COMMIT`` for its rows of one commit, or a commit.
 
-    Parameters
-    ----------
-    text : str
-        A store, or a folder of results; ``STORE@COMMIT`` for its rows of one commit; or a commit.
-
-    Returns
-    -------
-    Side
-        With the newest row of each point, or the tables under ``results/reference``.
-
-    Raises
-    ------
-    InputError
-        It is neither, or holds nothing.
+    Of a store, the newest row of each point counts; of a commit, the tables under ``results/reference``.
     """
     place, at, commit = text.rpartition("@")
     path = _store_file(text)
@@ -116,24 +93,9 @@ def _side_of_commit(text: str) -> Side:
 
 
 def compare_sides(first: Side, second: Side, tolerances: Tolerances) -> list[Verdict]:
-    """Compare two sides cell by cell.
+    """Compare two stores or two commits table by table, a store being one table.
 
-    Parameters
-    ----------
-    first, second : Side
-        Two stores or two commits.
-    tolerances : Tolerances
-        How far a cell may be from that of `first`.
-
-    Returns
-    -------
-    list of Verdict
-        One for each table; a store is one table. What only one side has is a difference.
-
-    Raises
-    ------
-    InputError
-        One is a store, the other a commit.
+    A table, row or column that only one side has is a difference.
     """
     if (first.rows is None) != (second.rows is None):
         raise InputError("compare: one is a store and the other a commit; compare two of a kind")
@@ -168,18 +130,7 @@ def _text(value: Any, form: str = "") -> str:
 
 
 def label_points(rows: Iterable[Row]) -> dict[str, str]:
-    """Return what the points of some rows are called: what tells them apart, and the head of their identity.
-
-    Parameters
-    ----------
-    rows : iterable of Row
-        Rows.
-
-    Returns
-    -------
-    dict of str to str
-        By identity.
-    """
+    """Return labels of points by identity: sequence, method, the parameters that differ, the identity's head."""
     specs = {row.identity: row.spec for row in rows}
     values: dict[str, set[str]] = {}
     for spec in specs.values():

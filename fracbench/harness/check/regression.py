@@ -1,4 +1,4 @@
-"""Did our numbers change? Recompute the tables under ``results/reference`` and compare cell by cell."""
+"""The regression check: recompute the tables under ``results/reference`` and compare them cell by cell."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fracbench.errors import InputError, unknown_name
-from fracbench.harness.check.tolerances import MEASURED, Tolerance, Tolerances, load_tolerances
-from fracbench.harness.config.experiment import Experiment, load_experiment
+from fracbench.harness.check.tolerances import MEASURED, Tolerance, Tolerances, load_tolerances, write_texts
+from fracbench.harness.config.experiment import load_experiment
 from fracbench.harness.config.paths import asset, checkout
 from fracbench.harness.run import provenance, sweep
 from fracbench.harness.run.plan import Plan, plan_experiment
@@ -44,40 +44,22 @@ class Difference:
 
 @dataclass
 class Verdict:
-    """What the comparison of one stored table came to.
-
-    Attributes
-    ----------
-    name : str
-        The stored table.
-    cells : int
-        Cells compared.
-    differences : list of Difference
-        Empty if the table holds.
-    skipped : str
-        Why it was not compared at all; empty if it was.
-    """
+    """The result of comparing one stored table; it holds if there are no differences."""
 
     name: str
-    cells: int = 0
+    cells: int = 0  #: compared
     differences: list[Difference] = field(default_factory=list)
-    skipped: str = ""
+    skipped: str = ""  #: why the table was not compared; empty if it was
 
 
 def stored_tables() -> list[str]:
-    """Return the names of the stored tables; one of which only the record is left is among them."""
+    """Return the names of the stored tables, also of one whose record alone is left."""
     folder = asset("results/reference")
     return sorted({path.stem for pattern in ("*.csv", "*.json") for path in folder.glob(pattern)})
 
 
 def wanted_tables(names: Sequence[str]) -> list[str]:
-    """Return the stored tables of some names, all if there are no names.
-
-    Raises
-    ------
-    InputError
-        An unknown name, or no table at all.
-    """
+    """Return the stored tables of these names, all if there are none; refuse an unknown name."""
     tables = stored_tables()
     for name in names:
         if name not in tables:
@@ -88,29 +70,11 @@ def wanted_tables(names: Sequence[str]) -> list[str]:
 
 
 def check(name: str, *, jobs: int, on_row: Callable[[Row], None] | None = None) -> Verdict:
-    """Recompute a stored table, all of it, and compare.
+    """Recompute a stored table on `jobs` worker processes and compare it; `on_row` is called with each row.
 
-    Parameters
-    ----------
-    name : str
-        A stored table: an experiment, with ``_synthetic`` behind it for the rendered scenes.
-    jobs : int
-        Worker processes.
-    on_row : callable, optional
-        Called with each computed row.
-
-    Returns
-    -------
-    Verdict
-        Skipped, with the reason, where Middlebury cannot be had.
-
-    Raises
-    ------
-    InputError
-        No such table, or a file that cannot be read.
+    The table is skipped, with the reason, where Middlebury cannot be had.
     """
-    if name not in stored_tables():
-        raise unknown_name("stored table", name, stored_tables())
+    wanted_tables([name])
     path, tolerances = asset("results/reference") / f"{name}.csv", load_tolerances()
     if not path.is_file():
         gone = Difference("all rows", "table", "missing", "present", "the same tables")
@@ -134,16 +98,18 @@ def read_table(path: Path) -> pd.DataFrame:
 
 
 def plan_of(name: str) -> Plan | None:
-    """Return the plan behind a stored table, or None where its data cannot be had."""
+    """Return the plan behind a stored table, or None where its data cannot be had.
+
+    The name is an experiment's, followed by ``_synthetic`` for the rendered scenes.
+    """
     base = name.removesuffix("_synthetic")
-    experiment: Experiment = load_experiment(base)
     dataset = "synthetic" if base != name else "auto"
-    plan = plan_experiment(experiment.grids, [f"dataset={dataset}"])
+    plan = plan_experiment(load_experiment(base).grids, [f"dataset={dataset}"])
     return None if plan.stand_in and dataset == "auto" else plan
 
 
 def recompute(plan: Plan, jobs: int, on_row: Callable[[Row], None] | None = None) -> dict[str, Row]:
-    """Compute all points of a plan in a store of their own: stored results must not vouch for themselves."""
+    """Compute all points of a plan in an empty store: stored results must not vouch for themselves."""
     with (
         tempfile.TemporaryDirectory(prefix="fracbench-check-") as folder,
         Store(Path(folder) / "store.sqlite") as store,
@@ -152,9 +118,9 @@ def recompute(plan: Plan, jobs: int, on_row: Callable[[Row], None] | None = None
 
 
 def reference_table(plan: Plan, rows: Mapping[str, Row]) -> pd.DataFrame:
-    """Return the columns of a tidy table that are stored: labels, swept keys, errors, counts; all as text.
+    """Return the stored columns of a tidy table as text: labels, swept keys, errors, counts.
 
-    A cell that has no value is empty, such as alpha for a method without; rows then equal are one.
+    A cell without a value, such as alpha for a method without it, is empty; rows that are equal then are merged.
     """
     import pandas as pd
 
@@ -173,21 +139,9 @@ def _key_columns(plan: Plan, table: pd.DataFrame) -> list[str]:
 
 
 def compare(name: str, stored: pd.DataFrame, found: pd.DataFrame, tolerances: Tolerances) -> Verdict:
-    """Compare two reference tables cell by cell.
+    """Compare two reference tables, whose cells are text.
 
-    Parameters
-    ----------
-    name : str
-        For the verdict.
-    stored, found : pandas.DataFrame
-        Text, as `reference_table` gives and ``read_csv(dtype=str)`` reads.
-    tolerances : Tolerances
-        By column; single cells may have their own.
-
-    Returns
-    -------
-    Verdict
-        A missing, extra or incomparable row, column or cell is a difference, never a pass.
+    A missing, extra or incomparable row, column or cell is a difference, never a pass.
     """
     verdict = Verdict(name)
     for column in stored.columns.symmetric_difference(found.columns):
@@ -215,7 +169,7 @@ def key_columns(table: pd.DataFrame) -> list[str]:
 
 
 def by_label(table: pd.DataFrame, keys: Sequence[str]) -> dict[str, dict[str, str]]:
-    """Return the rows of a reference table by what they are called, the values of `keys` that are not empty."""
+    """Return the rows of a reference table by their labels: the values of `keys` that are not empty."""
     records = table.to_dict("records")
     return {", ".join(record[key] for key in keys if record[key]): record for record in records}
 
@@ -237,30 +191,8 @@ def _number(text: str) -> float:
         return math.nan
 
 
-def update(name: str, reason: str, *, jobs: int, on_row: Callable[[Row], None] | None = None) -> list[Path]:
-    """Rewrite a stored table, and record why.
-
-    Parameters
-    ----------
-    name : str
-        The stored table; a new one if there is an experiment of that name.
-    reason : str
-        Why the numbers may differ from now on.
-    jobs, on_row
-        See `check`.
-
-    Returns
-    -------
-    list of Path
-        The files written.
-
-    Raises
-    ------
-    InputError
-        No reason, no data, failed points, or no checkout to write to.
-    """
-    from fracbench.data.files import atomic_path
-
+def update(name: str, reason: str, *, jobs: int) -> list[Path]:
+    """Rewrite the stored table of an experiment, which may be new, and record the reason; return the files."""
     if not reason.strip():
         raise InputError('check --update needs --reason "why the stored numbers change"')
     require_checkout()
@@ -269,31 +201,30 @@ def update(name: str, reason: str, *, jobs: int, on_row: Callable[[Row], None] |
         raise InputError(f"{name}: the Middlebury data cannot be had here")
     folder = asset("results/reference")
     entries = history(name)
-    rows = recompute(plan, jobs, on_row)
+    rows = recompute(plan, jobs)
     failed = [row for row in rows.values() if row.status != "done"]
     if failed:
         raise InputError(
             f"{name}: {len(failed)} points are not done (first: {failed[0].error}); nothing was written"
         )
-    entries.append(_entry(reason, next(iter(rows.values()))))
+    workers = next(iter(rows.values())).provenance
+    computed = {key: workers.get(key) for key in ("cpu", "python", "versions", "threads")}
+    entries.append({"reason": reason, **origin(), **computed})
     contents = {
         folder / f"{name}.csv": reference_table(plan, rows).to_csv(index=False, lineterminator="\n"),
         folder / f"{name}.json": json.dumps(entries, indent=2, sort_keys=True) + "\n",
     }
-    for path, text in contents.items():
-        with atomic_path(path) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-    return list(contents)
+    return write_texts(contents)
 
 
 def require_checkout() -> None:
-    """Refuse to rewrite what is stored where the package is installed."""
+    """Refuse to rewrite stored tables outside a checkout."""
     if checkout() is None:
         raise InputError("check --update: there is no checkout to write to; stored tables are part of one")
 
 
 def history(name: str) -> list[Any]:
-    """Return the records of a stored table, the last of which is that of its numbers."""
+    """Return the records of a stored table's updates; the last belongs to its numbers."""
     path = asset("results/reference") / f"{name}.json"
     try:
         entries: list[Any] = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else []
@@ -302,14 +233,8 @@ def history(name: str) -> list[Any]:
     return entries
 
 
-def _entry(reason: str, row: Row) -> dict[str, Any]:
-    """Record why a table was stored, and with what the workers computed it."""
-    computed = {key: row.provenance.get(key) for key in ("cpu", "python", "versions", "threads")}
-    return {"reason": reason, **origin(), **computed}
-
-
 def origin() -> dict[str, Any]:
-    """Return what a stored file owes its numbers to: date, numerics, machine, versions, commit."""
+    """Return the origin of numbers computed now: date, solver version, machine, versions, commit."""
     machine = {key: provenance.machine()[key] for key in ("cpu", "python", "versions")}
     date = datetime.datetime.now(datetime.UTC).date().isoformat()
     return {"date": date, "solver_version": SOLVER_VERSION, **machine, **provenance.commit()}

@@ -1,8 +1,8 @@
-"""How far a recomputed cell may be from the stored one: ``results/reference/tolerances.toml``.
+"""The tolerances between recomputed and stored cells: ``results/reference/tolerances.toml``.
 
-One relative tolerance a column, and a short list of ill-conditioned rows with wider ones. The numbers follow, by
-the rule of `derive`, from the spreads under ``results/reference/spread``, which ``tools/spread.py`` measures; only
-the reasons are typed.
+Each column has one relative tolerance, and a short list of ill-conditioned rows has wider ones. `derive` computes
+the numbers from the spreads under ``results/reference/spread``, which ``tools/spread.py`` measures; only the
+reasons are typed.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 MEASURED = ("aae", "aepe", "sdae")
 #: Radians and pixels: a difference that no printed table shows.
 ABSOLUTE = 1e-6
-#: How many times the spread is let pass: no measurement has met every machine.
+#: Tolerance over measured spread: no measurement has met every machine.
 MARGIN = 3.0
 #: The largest relative tolerance of a column: rows that need more are ill-conditioned, and listed as such.
 #: A change of theta by 1 % is no longer seen in a rendered scene where those of aae and aepe are 0.01.
@@ -52,7 +52,7 @@ _FORM = (
 
 @dataclass(frozen=True)
 class Tolerance:
-    """How far a cell may move, on what basis, and why that is no change."""
+    """The bound on the difference of a cell, its basis, and why such a difference is no change."""
 
     absolute: float
     relative: float
@@ -67,7 +67,7 @@ class Tolerance:
             raise ValueError("a tolerance needs its basis and its reason")
 
     def allows(self, stored: float, found: float) -> bool:
-        """Tell whether `found` may stand for `stored`; what is not finite never may."""
+        """Tell whether `found` is close enough to `stored`; values that are not finite never are."""
         return math.isfinite(stored) and abs(found - stored) <= self.absolute + self.relative * abs(stored)
 
     def __str__(self) -> str:
@@ -76,23 +76,11 @@ class Tolerance:
 
 @dataclass(frozen=True)
 class IllConditioned:
-    """Rows of a stored table whose errors move further than those of others.
-
-    Attributes
-    ----------
-    table : str
-        The stored table.
-    rows : str
-        Pattern of their labels, with ``*`` for any text.
-    relative : mapping of str to float
-        By column: the relative tolerance that takes the place of the column's own.
-    reason : str
-        Why they move.
-    """
+    """Rows of a stored table whose errors move further than those of others, and their relative tolerances."""
 
     table: str
-    rows: str
-    relative: Mapping[str, float]
+    rows: str  #: pattern of the rows' labels, with ``*`` for any text
+    relative: Mapping[str, float]  #: by column, in place of the column's own
     reason: str
 
     def __post_init__(self) -> None:
@@ -120,18 +108,7 @@ class Tolerances:
 
 
 def load_tolerances() -> Tolerances:
-    """Read the tolerances.
-
-    Returns
-    -------
-    Tolerances
-        One for each measured column, and those of ill-conditioned rows.
-
-    Raises
-    ------
-    InputError
-        Not TOML, a column without tolerance, or a tolerance without basis and reason.
-    """
+    """Read the tolerances; refuse a column without tolerance, and a tolerance without basis and reason."""
     path = asset("results/reference/tolerances.toml")
     try:
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -142,18 +119,7 @@ def load_tolerances() -> Tolerances:
 
 
 def load_spreads() -> dict[str, pd.DataFrame]:
-    """Read the spreads under ``results/reference/spread``.
-
-    Returns
-    -------
-    dict of str to pandas.DataFrame
-        By stored table; columns ``row``, ``column``, and the relative spread under each circumstance.
-
-    Raises
-    ------
-    InputError
-        A file that is no such table.
-    """
+    """Read the spreads by stored table: columns ``row``, ``column``, and the relative spread per circumstance."""
     import pandas as pd
 
     found = {}
@@ -172,29 +138,13 @@ def load_spreads() -> dict[str, pd.DataFrame]:
 
 
 def derive(spreads: Mapping[str, pd.DataFrame], typed: Tolerances) -> Tolerances:
-    """Return the tolerances that follow from the spreads.
+    """Return the tolerances that follow from the spreads (see `load_spreads`), with the reasons of `typed`.
 
-    The spread of a cell is its largest under any circumstance, and `MARGIN` times that, rounded up (`rounded_up`),
-    the tolerance that it needs. Rows whose labels differ in the last value only (the points of a curve, the
-    methods of a sequence) are judged together: if one needs more than `WIDEST`, all are ill-conditioned in that
-    column and get the tolerance that covers them. A column's tolerance covers all other cells.
-
-    Parameters
-    ----------
-    spreads : mapping of str to pandas.DataFrame
-        See `load_spreads`.
-    typed : Tolerances
-        The reasons; rows without one get `NO_REASON`.
-
-    Returns
-    -------
-    Tolerances
-        For every measured column, with the basis of each.
-
-    Raises
-    ------
-    ValueError
-        A spread is not finite: there is a cell that nothing can be compared with.
+    The spread of a cell is its largest under any circumstance; the cell needs a tolerance of `MARGIN` times that,
+    rounded up. Rows whose labels differ in the last value only (the points of a curve, the methods of a sequence)
+    are judged together: if one needs more than `WIDEST`, all are ill-conditioned in that column and get the
+    tolerance that covers them. A column's tolerance covers all other cells. A spread that is not finite is a
+    `ValueError`.
     """
     groups: dict[tuple[str, str], dict[str, list[float]]] = {}
     for name, table in spreads.items():
@@ -223,13 +173,7 @@ def derive(spreads: Mapping[str, pd.DataFrame], typed: Tolerances) -> Tolerances
 
 
 def rounded_up(value: float) -> float:
-    """Return a number rounded up to one digit, and 1e-5 at least.
-
-    Raises
-    ------
-    ValueError
-        The value is not finite, or negative.
-    """
+    """Return a spread rounded up to one digit, 1e-5 at least."""
     if not (math.isfinite(value) and value >= 0):
         raise ValueError(f"a spread must be finite and at least 0, got {value}")
     value = float(f"{max(value, _SMALLEST):.6g}")  # 3 times 0.0002 is more than 0.0006
@@ -239,7 +183,7 @@ def rounded_up(value: float) -> float:
 
 
 def outdated(names: Iterable[str], solver_version: int) -> list[str]:
-    """Return the stored tables whose spread was never measured, or with another version of the numerics."""
+    """Return the tables whose spread was not measured with this version of the solver."""
     folder = asset("results/reference") / "spread"
 
     def version(name: str) -> Any:
@@ -252,29 +196,11 @@ def outdated(names: Iterable[str], solver_version: int) -> list[str]:
 
 
 def write(spreads: Mapping[str, pd.DataFrame], origin: Mapping[str, Any]) -> list[Path]:
-    """Write spreads, and the tolerances that follow from them and from those of the other tables.
+    """Write spreads with their origin, and the tolerances that follow from all spreads; return the files.
 
-    Spreads of the same numerics that could not be measured this time, which another machine has, stay.
-
-    Parameters
-    ----------
-    spreads : mapping of str to pandas.DataFrame
-        By stored table; see `load_spreads`.
-    origin : mapping
-        With what they were measured; written beside each.
-
-    Returns
-    -------
-    list of Path
-        The files.
-
-    Raises
-    ------
-    InputError
-        A file there is cannot be read, or no tolerance follows; nothing is written then.
+    Stored spreads of the same solver version stay where this machine could not measure them. Nothing is written if
+    a file cannot be read, or if no tolerance follows.
     """
-    from fracbench.data.files import atomic_path
-
     path = asset("results/reference/tolerances.toml")
     typed = load_tolerances()
     old = load_spreads()
@@ -293,14 +219,21 @@ def write(spreads: Mapping[str, pd.DataFrame], origin: Mapping[str, Any]) -> lis
     record = json.dumps(dict(origin), indent=2, sort_keys=True) + "\n"
     contents |= {folder / f"{name}.json": record for name in spreads}
     contents[path] = to_toml(tolerances)
-    for file, text in contents.items():
-        with atomic_path(file) as temporary:
+    return write_texts(contents)
+
+
+def write_texts(contents: Mapping[Path, str]) -> list[Path]:
+    """Write each text to its file, which appears whole or not at all; return the files."""
+    from fracbench.data.files import atomic_path
+
+    for path, text in contents.items():
+        with atomic_path(path) as temporary:
             temporary.write_text(text, encoding="utf-8")
     return list(contents)
 
 
 def _completed(new: pd.DataFrame, old: pd.DataFrame) -> pd.DataFrame:
-    """Return the spreads in `new` and, of circumstances that it lacks, those in `old`; 0 for rows that are new."""
+    """Return `new` with the circumstances that only `old` has; their spread is 0 for new rows."""
     labels = ["row", "column"]
     lacking = [column for column in old if column not in new]
     return new.merge(old[[*labels, *lacking]], on=labels, how="left").fillna(dict.fromkeys(lacking, 0.0))
@@ -318,7 +251,7 @@ def _block(title: str, values: Mapping[str, Any]) -> str:
 
 
 def _value(value: Any) -> str:
-    """Write a value as TOML does: texts and finite numbers as in JSON."""
+    """Return a value as TOML text, which is JSON for texts and finite numbers."""
     if isinstance(value, Mapping):
         return f"{{ {', '.join(f'{key} = {_value(own)}' for key, own in value.items())} }}"
     return json.dumps(value)
