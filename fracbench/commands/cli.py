@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import os
+import re
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -23,23 +26,12 @@ _EXITS = "exit codes: 0 done, 1 a check did not hold, 2 bad input, 3 finished bu
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line.
-
-    Parameters
-    ----------
-    argv : sequence of str, optional
-        Arguments without the program's name; ``sys.argv`` by default.
-
-    Returns
-    -------
-    int
-        Exit code: 0 done, 1 a check did not hold, 2 bad input, 3 finished but some points failed.
-    """
+    """Run the command line with `argv` (default: the program's arguments) and return its exit code."""
     console.show_log()
     try:
         return _dispatch(list(sys.argv[1:] if argv is None else argv))
     except FracbenchError as exc:
-        console.complain(" ".join(str(exc).splitlines()))  # a file's name may hold a line break
+        console.complain(str(exc))
         return EXIT_INPUT
     except KeyboardInterrupt:
         console.complain(f"interrupted; {RESUME}")
@@ -53,8 +45,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _dispatch(argv: list[str]) -> int:
     try:
         arguments = _build_parser().parse_words(argv)
-        command: Callable[[argparse.Namespace], int] = arguments.command
-        return command(arguments)
+        command: Callable[[argparse.Namespace], int | None] = arguments.command
+        return command(arguments) or EXIT_DONE
     finally:
         sys.stdout.flush()  # later, nobody could catch the error of a reader that has gone
 
@@ -64,19 +56,22 @@ def console_entry() -> NoReturn:
     sys.exit(main())
 
 
+_Add = Callable[..., argparse.ArgumentParser]
+
+
 def _build_parser() -> Parser:
     parser = Parser(
         prog="fracbench",
-        description="Reproduce, check and extend 'Optical flow with fractional order regularization'.",
-        epilog=_EXITS,
+        description="Reproduce, check and extend the paper 'Optical flow with fractional order regularization' "
+        "(arXiv:1512.01398). A point is one flow to compute: a method with its parameters on one pair of images. "
+        "Finished points are stored, so that no command computes a point twice.",
+        epilog=f"fracbench COMMAND --help explains a command; {_EXITS}",
     )
     parser.add_argument("--version", action="version", version=f"fracbench {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
 
-    def add(
-        name: str, command: Callable[[argparse.Namespace], int], text: str, **more: Any
-    ) -> argparse.ArgumentParser:
-        sub: argparse.ArgumentParser = commands.add_parser(name, help=text, description=text, **more)
+    def add(name: str, command: Callable[[argparse.Namespace], int | None], text: str, **more: Any) -> Any:
+        sub = commands.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.", **more)
         sub.set_defaults(command=command, parser=sub)
         return sub
 
@@ -88,99 +83,125 @@ def _build_parser() -> Parser:
     return parser
 
 
-_Add = Callable[..., argparse.ArgumentParser]
+_GRID_HELP = (
+    "A grid is a value (alpha=1.2), a range a:b:step with both ends (0:2:0.1), a list (1,2,5), several of these "
+    "(0:1:0.25,1.5), log(1e-3:1:7) for 7 values of constant ratio, or Hydra's range() and choice(). Several keys "
+    "give all combinations; zip(lambda,theta)=(0.3,0.3),(0.4,0.4) varies keys together. region=all and "
+    f"region=grove2_* choose regions by name ({_EXITS})."
+)
+_GRID = "keys with their grids, e.g. alpha=0:2:0.1 region=grove2_A"
+_SETTINGS = "settings: dataset=NAME, paths.data=FOLDER, paths.results=FOLDER, parallel=NAME, parallel.KEY=VALUE"
+_STORED = "settings: dataset=NAME, paths.data=FOLDER, paths.results=FOLDER"
 
 
 def _add_grids(add: _Add) -> None:
-    _add_overrides(
-        add("sweep", _sweep, "run a grid of parameters; write a tidy CSV and a plot", epilog=_GRID_HELP)
+    sweep = add(
+        "sweep", _sweep, "compute all points of a grid of parameters; write a CSV and a plot", epilog=_GRID_HELP
     )
-    table = add("table", _table, "run what is missing for a table of the paper and write it")
-    table.add_argument("number", help="e.g. 2")
-    _add_overrides(table)
-    figure = add("figure", _figure, "run what is missing for a figure of the paper and draw it")
-    figure.add_argument("number", help="e.g. 6")
-    _add_overrides(figure)
-    experiment = add("experiment", _experiment, "run an experiment of experiments/ and write its artefact")
-    experiment.add_argument("name", help="name of the file, without .yaml")
-    _add_overrides(experiment)
+    _add_points(sweep, _GRID, "KEY=GRID")
+    table = add("table", partial(_numbered, "table"), "compute a table of the paper and write it")
+    table.add_argument("number", help="number of the table, e.g. 2")
+    figure = add("figure", partial(_numbered, "fig"), "compute a figure of the paper and draw it")
+    figure.add_argument("number", help="number of the figure, e.g. 6")
+    experiment = add(
+        "experiment", _experiment, "compute an experiment of experiments/; write its tables and figures"
+    )
+    experiment.add_argument("name", help="name of the experiment's file, without .yaml")
+    for parser in (table, figure, experiment):
+        _add_points(parser, _SETTINGS)
+
+
+def _add_points(
+    parser: argparse.ArgumentParser, text: str, metavar: str = "KEY=VALUE", *, rerun: bool = True
+) -> None:
+    parser.add_argument("overrides", nargs="*", metavar=metavar, help=text)
+    parser.add_argument("--jobs", type=int, metavar="N", help="number of worker processes (default: 2)")
+    parser.add_argument(
+        "--timeout", metavar="SECONDS", help="stop each point that takes longer (default: no limit)"
+    )
+    parser.add_argument(
+        "--dry-run",
+        action="store_true",
+        help="print the number of points and the expected minutes; compute nothing",
+    )
+    parser.add_argument(
+        "--small", action="store_true", help="try few values of each grid; the names of the files end in _small"
+    )
+    if rerun:
+        parser.add_argument("--rerun", choices=["failed"], help="recompute the points that failed before")
 
 
 def _add_paper(add: _Add) -> None:
-    report = add("report", _report, "run what is missing of the whole paper; write everything on one HTML page")
-    report.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="dataset=, paths. and parallel only")
-    report.add_argument("--jobs", type=int, help="worker processes (default: 2)")
-    report.add_argument("--dry-run", action="store_true", help="count points and minutes, compute nothing")
-    report.add_argument("--timeout", metavar="SECONDS", help=_TIMEOUT)
-    report.add_argument("--small", action="store_true", help=_SMALL)
+    report = add("report", _report, "compute the whole paper, judge its claims and write one HTML page")
+    _add_points(report, _SETTINGS, rerun=False)
     report.add_argument("--beyond", action="store_true", help="run the experiments beyond the paper instead")
-    claims = add("claims", _claims, "judge the paper's claims by what is stored; compute nothing")
-    claims.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="dataset= and paths. only")
-    claims.add_argument("--small", action="store_true", help="judge the thinned grids")
-    claims.add_argument("--readme", type=Path, metavar="FILE", help="renew the answer between the markers in FILE")
+    claims = add("claims", _claims, "judge the paper's claims by the stored results; compute nothing")
+    claims.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help=_STORED)
+    claims.add_argument("--small", action="store_true", help="judge the results of report --small")
+    claims.add_argument(
+        "--readme", type=Path, metavar="FILE", help="renew the text between the answer's markers in FILE"
+    )
 
 
 def _add_flows(add: _Add) -> None:
-    run = add("run", _run, "compute one configured flow; write it as .flo and as a picture")
-    _add_overrides(run, grid=False)
-    estimate = add("estimate", _estimate, "compute the flow between two images of your own")
-    estimate.add_argument("frame0", type=Path)
-    estimate.add_argument("frame1", type=Path)
-    estimate.add_argument(
-        "-o", "--output", type=Path, required=True, help="the flow: .flo, or .png in KITTI's format"
+    run = add("run", _run, "compute one flow of a data set; write it as .flo and as a colour picture")
+    run.add_argument(
+        "overrides",
+        nargs="*",
+        metavar="KEY=VALUE",
+        help="sequence, method, parameters, e.g. sequence=venus alpha=1.2",
     )
-    estimate.add_argument("--color", type=Path, help="colour picture (default: beside the flow, .color.png)")
-    estimate.add_argument("--truth", type=Path, help="true flow, .flo or KITTI .png: print the errors")
-    estimate.add_argument("--threads", type=int, default=1, help="threads (default: 1)")
-    estimate.add_argument("--method", default=None, help="see `fracbench methods`")
+    estimate = add("estimate", _estimate, "compute the flow between two images of your own")
+    estimate.add_argument("frame0", type=Path, help="first image")
+    estimate.add_argument("frame1", type=Path, help="second image, of the same size")
     estimate.add_argument(
         "overrides", nargs="*", metavar="KEY=VALUE", help="parameters, e.g. alpha=1.2, or protocol=accurate"
     )
+    file: dict[str, Any] = {"type": Path, "metavar": "FILE"}
+    estimate.add_argument(
+        "-o", "--output", required=True, help="file of the flow: .flo, or .png in KITTI's format", **file
+    )
+    estimate.add_argument("--color", help="colour picture (default: beside the flow, NAME.color.png)", **file)
+    estimate.add_argument("--truth", help="true flow, .flo or KITTI's .png; prints the errors", **file)
+    estimate.add_argument("--threads", type=int, default=1, metavar="N", help="number of threads (default: 1)")
+    estimate.add_argument("--method", metavar="NAME", help="name of a method, see fracbench methods")
 
 
 def _add_upkeep(add: _Add) -> None:
-    check = add("check", _check, "recompute the stored tables and compare them cell by cell")
+    check = add("check", _check, "recompute the stored tables of results/reference and compare them cell by cell")
     check.add_argument("names", nargs="*", metavar="NAME", help="stored tables (default: all)")
-    check.add_argument("--jobs", type=int, default=2, help="worker processes (default: 2)")
-    check.add_argument("--update", action="store_true", help="rewrite the stored tables instead")
-    check.add_argument("--spread", action="store_true", help="moved to tools/spread.py of a checkout")
-    check.add_argument("--reason", default="", help="why they change; recorded beside them")
-    status = add("status", _status, "say what is done, failed, stale or missing, and which command goes on")
-    status.add_argument("words", nargs="*", metavar="EXPERIMENT|KEY=VALUE", help="default: all; dataset=, paths.")
-    status.add_argument("--json", action="store_true", help="print JSON")
+    check.add_argument("--jobs", type=int, default=2, metavar="N", help="number of worker processes (default: 2)")
+    check.add_argument("--update", action="store_true", help="rewrite the stored tables instead; needs --reason")
+    check.add_argument("--reason", default="", metavar="TEXT", help="why the numbers change; stored beside them")
+    check.add_argument("--spread", action="store_true", help="has moved: python tools/spread.py, in a checkout")
+    status = add("status", _status, "show how far experiments are, and the commands that resume them")
+    status.add_argument(
+        "words", nargs="*", metavar="NAME|KEY=VALUE", help=f"names of experiments (default: all); {_STORED}"
+    )
+    status.add_argument("--json", action="store_true", help="print JSON instead of a table")
     compare = add("compare", _compare, "compare two stores, or the stored tables of two commits, cell by cell")
     for side in ("first", "second"):
-        compare.add_argument(side, help="a store or folder of results, STORE@COMMIT, or a commit")
-    bench = add("bench", _bench, "time the methods and the peers that are installed, interleaved, warm")
-    bench.add_argument("--repeats", type=int, default=5, help="timed rounds; the median counts (default: 5)")
-    bench.add_argument("--threads", type=int, default=1, help="of the solver and OpenCV (default: 1)")
-    bench.add_argument("--study", choices=["size", "jobs", "roofline"], help="moved to benchmarks/ of a checkout")
-    bench.add_argument("--only", default="", metavar="NAME,...", help="contenders, by beginning of name")
-    _add_overrides(bench, grid=False)
-    data = add("data", _data, "say where the Middlebury data are and whether they are whole; fetch them")
-    data.add_argument("--download", action="store_true", help="download what is missing, beside what there is")
-    add("methods", _methods, "list the methods and their parameters")
-
-
-_GRID_HELP = (
-    "grid: a:b:step (both ends), 1,2,5, unions 0:1:0.25,1.5, log(1e-3:1:7), range(), choice(), "
-    "zip(lambda,theta)=(0.3,0.3),(0.4,0.4); several keys make a product; region=all and "
-    "region=grove2_* are globs. " + _EXITS
-)
-
-
-_TIMEOUT = "give a point up whose estimate takes longer (default: no limit)"
-_SMALL = "thin every grid, to try it out; the names of files end in _small"
-
-
-def _add_overrides(parser: argparse.ArgumentParser, *, grid: bool = True) -> None:
-    parser.add_argument("overrides", nargs="*", metavar="KEY=GRID" if grid else "KEY=VALUE")
-    if grid:
-        parser.add_argument("--jobs", type=int, help="worker processes (default: 2)")
-        parser.add_argument("--timeout", metavar="SECONDS", help=_TIMEOUT)
-        parser.add_argument("--dry-run", action="store_true", help="count points and minutes, compute nothing")
-        parser.add_argument("--small", action="store_true", help=_SMALL)
-        parser.add_argument("--rerun", choices=["failed"], help="compute points again that failed")
+        compare.add_argument(
+            side, help="a store of results or its folder, STORE@COMMIT for the rows of one commit, or a commit"
+        )
+    bench = add(
+        "bench", _bench, "measure the speed of our methods and of the installed peers (OpenCV, scikit-image)"
+    )
+    bench.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="e.g. sequence=venus (default: all)")
+    bench.add_argument(
+        "--repeats", type=int, default=5, metavar="N", help="timed rounds; the median counts (default: 5)"
+    )
+    bench.add_argument(
+        "--threads", type=int, default=1, metavar="N", help="threads of the solver and of OpenCV (default: 1)"
+    )
+    bench.add_argument(
+        "--only", default="", metavar="NAME,...", help="only contenders whose names begin with one of these"
+    )
+    moved = "has moved: python benchmarks/STUDY.py, in a checkout"
+    bench.add_argument("--study", choices=["size", "jobs", "roofline"], help=moved)
+    data = add("data", _data, "show where the Middlebury images are and whether their files are complete")
+    data.add_argument("--download", action="store_true", help="download the missing files first")
+    add("methods", _methods, "list the methods and the parameters that each depends on")
 
 
 def _sweep(arguments: argparse.Namespace) -> int:
@@ -194,22 +215,11 @@ def _sweep(arguments: argparse.Namespace) -> int:
 
 def _slug(tokens: Sequence[str]) -> str:
     """Return a file name for a sweep, distinct for distinct overrides."""
-    import hashlib
-    import re
-
     tokens = [token for token in tokens if not token.startswith("parallel")]  # where it runs changes no result
     text = "__".join(re.sub(r"[^\w.=,+-]+", "_", token) for token in tokens if not token.startswith("paths."))
     # Characters are folded and names cut: a digest keeps apart what would fall together.
     digest = hashlib.sha256("\0".join(tokens).encode()).hexdigest()[:8]
     return f"{text[:80]}__{digest}"
-
-
-def _table(arguments: argparse.Namespace) -> int:
-    return _numbered("table", arguments)
-
-
-def _figure(arguments: argparse.Namespace) -> int:
-    return _numbered("fig", arguments)
 
 
 def _numbered(kind: str, arguments: argparse.Namespace) -> int:
@@ -231,7 +241,7 @@ def _experiment(arguments: argparse.Namespace) -> int:
 
 
 def _settings(name: str, overrides: Sequence[str]) -> Sequence[str]:
-    """Refuse overrides that would change an experiment's grid."""
+    """Return the overrides; refuse those that would change an experiment's grid."""
     if not all(token.startswith(("dataset=", "paths.", "parallel")) for token in overrides):
         raise InputError(
             f"{name}: an experiment fixes its own grid; only dataset=, paths. and parallel can be set "
@@ -240,31 +250,7 @@ def _settings(name: str, overrides: Sequence[str]) -> Sequence[str]:
     return overrides
 
 
-def _report(arguments: argparse.Namespace) -> int:
-    from fracbench.commands import paper
-
-    settings = [*_settings("report", arguments.overrides), *_limit(arguments)]
-    failed = paper.report(
-        settings,
-        jobs=arguments.jobs,
-        small=arguments.small,
-        dry_run=arguments.dry_run,
-        beyond=arguments.beyond,
-    )
-    return EXIT_FAILED if failed else EXIT_DONE
-
-
-def _claims(arguments: argparse.Namespace) -> int:
-    from fracbench.commands import paper
-
-    settings = _settings("claims", arguments.overrides)
-    for line in paper.judge(settings, small=arguments.small, readme=arguments.readme):
-        console.say(line)
-    return EXIT_DONE
-
-
 def _run_experiment(experiment: Experiment, settings: Sequence[str], arguments: argparse.Namespace) -> int:
-    """Plan, compute what is missing, store, draw."""
     from fracbench.commands import run
 
     failed = run.run_experiment(
@@ -282,14 +268,34 @@ def _limit(arguments: argparse.Namespace) -> list[str]:
     return [] if arguments.timeout is None else [f"parallel.timeout={arguments.timeout}"]
 
 
-def _run(arguments: argparse.Namespace) -> int:
+def _report(arguments: argparse.Namespace) -> int:
+    from fracbench.commands import paper
+
+    failed = paper.report(
+        [*_settings("report", arguments.overrides), *_limit(arguments)],
+        jobs=arguments.jobs,
+        small=arguments.small,
+        dry_run=arguments.dry_run,
+        beyond=arguments.beyond,
+    )
+    return EXIT_FAILED if failed else EXIT_DONE
+
+
+def _claims(arguments: argparse.Namespace) -> None:
+    from fracbench.commands import paper
+
+    settings = _settings("claims", arguments.overrides)
+    for line in paper.judge(settings, small=arguments.small, readme=arguments.readme):
+        console.say(line)
+
+
+def _run(arguments: argparse.Namespace) -> None:
     from fracbench.commands import run
 
     run.run_point(arguments.overrides)
-    return EXIT_DONE
 
 
-def _estimate(arguments: argparse.Namespace) -> int:
+def _estimate(arguments: argparse.Namespace) -> None:
     from fracbench.commands import run
 
     run.estimate_pair(
@@ -302,7 +308,6 @@ def _estimate(arguments: argparse.Namespace) -> int:
         threads=arguments.threads,
         overrides=arguments.overrides,
     )
-    return EXIT_DONE
 
 
 def _check(arguments: argparse.Namespace) -> int:
@@ -316,12 +321,11 @@ def _check(arguments: argparse.Namespace) -> int:
     return EXIT_DONE if maintain.check_references(arguments.names, jobs=arguments.jobs) else EXIT_CHECK
 
 
-def _status(arguments: argparse.Namespace) -> int:
+def _status(arguments: argparse.Namespace) -> None:
     from fracbench.commands import maintain
 
     _settings("status", [word for word in arguments.words if "=" in word])
     maintain.show_status(arguments.words, as_json=arguments.json)
-    return EXIT_DONE
 
 
 def _compare(arguments: argparse.Namespace) -> int:
@@ -330,14 +334,11 @@ def _compare(arguments: argparse.Namespace) -> int:
     return EXIT_DONE if maintain.compare_runs(arguments.first, arguments.second) else EXIT_CHECK
 
 
-def _bench(arguments: argparse.Namespace) -> int:
-    from fracbench.commands import bench as benchmarks
+def _bench(arguments: argparse.Namespace) -> None:
+    from fracbench.commands.bench import bench
 
     only = [name for name in arguments.only.split(",") if name]
-    benchmarks.bench(
-        arguments.study, arguments.overrides, repeats=arguments.repeats, threads=arguments.threads, only=only
-    )
-    return EXIT_DONE
+    bench(arguments.study, arguments.overrides, repeats=arguments.repeats, threads=arguments.threads, only=only)
 
 
 def _data(arguments: argparse.Namespace) -> int:
@@ -347,24 +348,21 @@ def _data(arguments: argparse.Namespace) -> int:
         middlebury.download(middlebury.download_folder())
     location = middlebury.find()
     console.say(f"Middlebury: {location.folder} (from {location.source})")
-    whole = True
-    for name in middlebury.SEQUENCES:
-        state = middlebury.state(name, location.folder)
+    states = {name: middlebury.state(name, location.folder) for name in middlebury.SEQUENCES}
+    for name, state in states.items():
         console.say(f"  {name:12s} {state.state}")
         for file in state.files:
             if file.state != "ok":
                 console.say(f"    {file.message}")
-        whole = whole and state.state == "ok"
-    return EXIT_DONE if whole else EXIT_CHECK
+    return EXIT_DONE if all(state.state == "ok" for state in states.values()) else EXIT_CHECK
 
 
-def _methods(arguments: argparse.Namespace) -> int:
+def _methods(_: argparse.Namespace) -> None:
     from fracbench.methods.registry import METHODS
 
     for method in METHODS.values():
         console.say(f"{method.name}: {method.label}, {method.summary}")
         console.say(f"    depends on {', '.join(sorted(method.uses))}")
-    return EXIT_DONE
 
 
 if __name__ == "__main__":

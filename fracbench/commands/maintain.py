@@ -1,4 +1,4 @@
-"""Commands that look at what is stored: does it still hold, how far does it move, what is missing."""
+"""The commands `check`, `status` and `compare`, which look at stored results."""
 
 from __future__ import annotations
 
@@ -12,29 +12,10 @@ from fracbench.harness.run.store import STORE
 
 if TYPE_CHECKING:
     from fracbench.harness.check.regression import Verdict
-    from fracbench.harness.run.status import Standing
 
 
 def check_references(names: Sequence[str], *, jobs: int) -> bool:
-    """Recompute stored tables and say, cell by cell, what moved.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Stored tables; all if empty.
-    jobs : int
-        Worker processes.
-
-    Returns
-    -------
-    bool
-        Whether all that could be compared hold.
-
-    Raises
-    ------
-    InputError
-        An unknown name, or no table at all.
-    """
+    """Recompute stored tables (all without `names`), print each cell that moved, and return whether all hold."""
     from fracbench.harness.check import regression, tolerances
     from fracbench.model import SOLVER_VERSION
 
@@ -54,7 +35,7 @@ def check_references(names: Sequence[str], *, jobs: int) -> bool:
 
 
 def say_verdict(verdict: Verdict, word: str = "holds") -> None:
-    """Print what a comparison came to: one line, and one more for each cell that differs."""
+    """Print the result of a comparison: one line, and one more for each cell that differs."""
     if verdict.skipped:
         console.say(f"{verdict.name}: SKIPPED: {verdict.skipped}")
         return
@@ -65,22 +46,7 @@ def say_verdict(verdict: Verdict, word: str = "holds") -> None:
 
 
 def update_references(names: Sequence[str], reason: str, *, jobs: int) -> None:
-    """Rewrite stored tables and record the reason.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Stored tables; all if empty. An experiment that is not stored yet becomes so.
-    reason : str
-        Why the numbers change.
-    jobs : int
-        Worker processes.
-
-    Raises
-    ------
-    InputError
-        Anything that the user can put right; nothing is written then.
-    """
+    """Rewrite stored tables, all without `names`, and record the reason; a named experiment may be new."""
     from fracbench.harness.check import regression
 
     require_workers(jobs)
@@ -90,19 +56,9 @@ def update_references(names: Sequence[str], reason: str, *, jobs: int) -> None:
 
 
 def show_status(words: Sequence[str], *, as_json: bool) -> None:
-    """Print how far experiments are, and which command goes on.
+    """Print the progress of experiments and the commands that resume them.
 
-    Parameters
-    ----------
-    words : sequence of str
-        Names of experiments, all if there are none; and overrides: data set, paths.
-    as_json : bool
-        Print JSON.
-
-    Raises
-    ------
-    InputError
-        An unknown experiment, or a store that cannot be read.
+    `words` are names of experiments, all if there are none, and overrides of data set and paths.
     """
     import json
 
@@ -124,14 +80,10 @@ def show_status(words: Sequence[str], *, as_json: bool) -> None:
         found = {"store": str(path), "rows": counts, "experiments": [one.as_dict() for one in standings]}
         console.say(json.dumps(found, indent=2))
         return
-    rows = ", ".join(f"{count} {status}" for status, count in counts.items() if count) or "no rows"
-    console.say(f"store {path}: {rows}")
-    _say_standings(standings)
-
-
-def _say_standings(standings: Sequence[Standing]) -> None:
     import pandas as pd
 
+    rows = ", ".join(f"{count} {status}" for status, count in counts.items() if count) or "no rows"
+    console.say(f"store {path}: {rows}")
     columns = ["experiment", "dataset", "points", "done", "failed", "stale", "missing"]
     console.show_table(pd.DataFrame([one.as_dict() for one in standings])[columns])
     for one in standings:
@@ -143,22 +95,9 @@ def _say_standings(standings: Sequence[Standing]) -> None:
 
 
 def compare_runs(first: str, second: str) -> bool:
-    """Compare two stores, or the stored tables of two commits, and print what differs.
+    """Compare two stores, or the stored tables of two commits; print differences, return whether they agree.
 
-    Parameters
-    ----------
-    first, second : str
-        See `fracbench.harness.check.compare.open_side`; the first counts as stored, the second as found.
-
-    Returns
-    -------
-    bool
-        Whether they agree.
-
-    Raises
-    ------
-    InputError
-        A side that is neither, or two of different kinds.
+    The first (see `fracbench.harness.check.compare.open_side`) counts as stored, the second as found.
     """
     from fracbench.harness.check.compare import compare_sides, open_side
     from fracbench.harness.check.tolerances import load_tolerances

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from fracbench.report.sources import Sources
 
 _FIGURES = tuple(f"fig{number}" for number in range(1, 8))
-#: The paper's experiments in its order, what its claims need besides, and two studies of how it was computed.
+#: The paper's experiments in its order, one more that its claims need, and two studies of how it was computed.
 PAPER = ("table1", "table2", *_FIGURES, "regions_lambda_sb", "protocol_study", "solver_study")
 
 
@@ -30,30 +30,10 @@ def report(
     dry_run: bool = False,
     beyond: bool = False,
 ) -> int:
-    """Run what is missing of the paper, judge its claims, and write the HTML page about it.
+    """Compute the paper's missing points, judge its claims, write the HTML page; return the number of failures.
 
-    Parameters
-    ----------
-    settings : sequence of str, optional
-        Overrides for all grids: data set, paths, parallel.
-    jobs : int, optional
-        Worker processes; the configuration's number by default.
-    small : bool, optional
-        Thin the grids; the names of files say so.
-    dry_run : bool, optional
-        Count points and minutes only.
-    beyond : bool, optional
-        Run the experiments beyond the paper instead of the paper's, and write the page with what is stored.
-
-    Returns
-    -------
-    int
-        How many points are not done.
-
-    Raises
-    ------
-    InputError
-        Anything that the user can put right.
+    With `beyond`, the experiments beyond the paper take the place of the paper's, and no claim is judged.
+    `settings` are overrides of data set, paths and parallel; `jobs` is by default the number in the configuration.
     """
     from fracbench.harness.run.pool import parallel_map
     from fracbench.report.page.beyond import EXPERIMENTS
@@ -85,7 +65,7 @@ def report(
     drawing = [(_draw, experiment, plans[name], Path.cwd()) for name, experiment in experiments.items()]
     flows = [(compute_flow, *flow) for flow in missing_flows(sources)]
     finished = parallel_map(_call, [*drawing, *flows], workers, "all points are stored")
-    verdicts = [] if beyond else write_verdicts(sources)  # which are the paper's alone; meanwhile others draw
+    verdicts = [] if beyond else write_verdicts(sources)  # while the workers draw
     for name, plan in plans.items():
         files = next(finished)
         folders = ", ".join(dict.fromkeys(str(path.parent) for path in files))
@@ -121,26 +101,10 @@ def _together(plans: Mapping[str, Plan]) -> Plan:
 
 
 def judge(settings: Sequence[str] = (), *, small: bool = False, readme: Path | None = None) -> list[str]:
-    """Judge the paper's claims by what is stored, print and write the verdicts; nothing is computed.
+    """Judge the paper's claims by the stored results, print and write the verdicts; compute nothing.
 
-    Parameters
-    ----------
-    settings : sequence of str, optional
-        Overrides for all grids: data set, paths.
-    small : bool, optional
-        Judge the thinned grids.
-    readme : Path, optional
-        A Markdown file whose block between the answer's markers is renewed.
-
-    Returns
-    -------
-    list of str
-        How many claims hold under each protocol, and the files written.
-
-    Raises
-    ------
-    InputError
-        Anything that the user can put right.
+    Return lines to print: how many claims hold under each protocol, and the files written. The block between the
+    answer's markers in the Markdown file `readme` is renewed.
     """
     from fracbench.report.claims import answer, claims
     from fracbench.report.sources import Sources
@@ -155,7 +119,7 @@ def judge(settings: Sequence[str] = (), *, small: bool = False, readme: Path | N
 
 
 def write_verdicts(sources: Sources) -> list[str]:
-    """Write the verdicts and the picture that sums them up; return what was written, a line a file."""
+    """Write the verdicts and the picture that sums them up; return a line per file."""
     from fracbench.data.files import ensure_folder
     from fracbench.report.claims import answer, claims
 

@@ -17,7 +17,8 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Raise `InputError`, where argparse would print and leave."""
-        choices = [name for action in self._subparsers_actions() for name in action.choices]
+        subcommands = [action for action in self._actions if isinstance(action, argparse._SubParsersAction)]
+        choices = [name for action in subcommands for name in action.choices]
         given = message.partition("invalid choice: '")[2].partition("'")[0]
         if given and choices:
             guess = nearest(given, choices)
@@ -25,29 +26,10 @@ class Parser(argparse.ArgumentParser):
             message = f"unknown command {given!r}{hint} (allowed: {', '.join(choices)})"
         raise InputError(" ".join(message.split()))
 
-    def _subparsers_actions(self) -> list[Any]:
-        return [action for action in self._actions if isinstance(action, argparse._SubParsersAction)]
-
     def parse_words(self, argv: Sequence[str]) -> argparse.Namespace:
-        """Return the arguments, with overrides wherever they stand.
-
-        Parameters
-        ----------
-        argv : sequence of str
-            Arguments without the program's name.
-
-        Returns
-        -------
-        argparse.Namespace
-            With ``parser``, that of the command.
-
-        Raises
-        ------
-        InputError
-            An unknown command, option or word.
-        """
+        """Return the arguments; overrides may stand anywhere, other unknown words are refused."""
         arguments, rest = self.parse_known_args(argv)
-        # argparse takes overrides up to the first option only; they may stand after it as well.
+        # argparse takes overrides up to the first option only.
         for word in rest:
             if word.startswith("-") or "=" not in word or not hasattr(arguments, "overrides"):
                 options = [option for action in arguments.parser._actions for option in action.option_strings]

@@ -1,4 +1,4 @@
-"""What a command does from beginning to end: plan, run, store, draw, and say so."""
+"""Experiments and single flows from beginning to end: plan, run, store, draw, print."""
 
 from __future__ import annotations
 
@@ -28,32 +28,9 @@ def run_experiment(
     rerun_failed: bool = False,
     small: bool = False,
 ) -> int:
-    """Compute the missing points of an experiment and write its artefact.
+    """Compute the missing points of an experiment and write its artefact; return how many points are not done.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        Grids and artefact.
-    settings : sequence of str, optional
-        Overrides for all grids: data set, paths, parallel.
-    jobs : int, optional
-        Worker processes; the configuration's number by default.
-    dry_run : bool, optional
-        Count points and minutes only.
-    rerun_failed : bool, optional
-        Compute points again that failed before.
-    small : bool, optional
-        Thin the grids; the artefact's name says so.
-
-    Returns
-    -------
-    int
-        The number of points that are not done.
-
-    Raises
-    ------
-    InputError
-        Anything that the user can put right.
+    `settings` are overrides of data set, paths and parallel; `jobs` is by default the number in the configuration.
     """
     if jobs is not None:
         require_workers(jobs)
@@ -82,29 +59,7 @@ def run_experiment(
 
 
 def run_plan(plan: Plan, name: str, jobs: int, *, rerun_failed: bool = False) -> sweep.Report:
-    """Compute the missing points of a plan, under a progress bar of that name.
-
-    Parameters
-    ----------
-    plan : Plan
-        Points.
-    name : str
-        Label of the progress bar.
-    jobs : int
-        Worker processes.
-    rerun_failed : bool, optional
-        Compute points again that failed before.
-
-    Returns
-    -------
-    fracbench.harness.run.sweep.Report
-        Rows and counts.
-
-    Raises
-    ------
-    InputError
-        Fewer than one worker, or a results folder that cannot be written.
-    """
+    """Compute the missing points of a plan, with a progress bar called `name`."""
     from fracbench.data.files import ensure_folder
 
     require_workers(jobs)
@@ -123,7 +78,7 @@ def require_workers(jobs: int) -> None:
 
 
 def say_cost(plan: Plan, jobs: int, *, rerun_failed: bool = False) -> None:
-    """Say how many points a plan has, how many are stored, and the minutes that the others take."""
+    """Print how many points a plan has, how many are stored, and the minutes that the others will take."""
     from fracbench.harness.run.cost import expected_seconds
 
     with Store(plan.config.results / STORE, readonly=True) as store:
@@ -162,7 +117,7 @@ def _say_settings(plan: Plan) -> None:
 
 
 def say_failures(report: sweep.Report) -> None:
-    """Say how many points are not done, if any, and how to try them again."""
+    """Print how many points are not done, if any, and how to try them again."""
     if report.failed:
         console.complain(
             f"{len(report.failed)} of {len(report.rows)} points are not done (first: {report.failed[0].error}); "
@@ -171,18 +126,7 @@ def say_failures(report: sweep.Report) -> None:
 
 
 def run_point(tokens: Sequence[str]) -> None:
-    """Compute one configured flow and write it below ``results/runs/flows``.
-
-    Parameters
-    ----------
-    tokens : sequence of str
-        Overrides; they must stand for one point.
-
-    Raises
-    ------
-    InputError
-        More than one point, or anything else that the user can put right.
-    """
+    """Compute the one flow that the overrides stand for and write it below ``results/runs/flows``."""
     if parse_overrides(tokens).size > 1:
         raise InputError(f"run takes one point, not a grid ({' '.join(tokens)}); use sweep")
     plan = make_plan(tokens)
@@ -221,29 +165,9 @@ def estimate_pair(
     threads: int = 1,
     overrides: Sequence[str] = (),
 ) -> None:
-    """Compute the flow between two image files and write it.
+    """Compute the flow between two image files; write it (``.flo``, or KITTI's ``.png``) and its colour picture.
 
-    Parameters
-    ----------
-    frame0, frame1 : Path
-        Images.
-    output : Path
-        ``.flo``, or ``.png`` in KITTI's format.
-    color : Path, optional
-        Colour picture; beside `output` by default.
-    truth : Path, optional
-        True flow; its errors are printed.
-    method : str, optional
-        Name in the registry.
-    threads : int, optional
-        Threads of the solver.
-    overrides : sequence of str, optional
-        Parameters as ``KEY=VALUE``, on top of those of ``protocol=NAME``.
-
-    Raises
-    ------
-    InputError
-        Anything that the user can put right; nothing is written then.
+    The errors are printed if the true flow is given. `method` is by default that of the protocol in `overrides`.
     """
     from fracbench.api import estimate_flow
     from fracbench.data.files import read_flow, read_image
@@ -277,7 +201,7 @@ def estimate_pair(
 
 
 def _require_outputs(output: Path, picture: Path, inputs: Sequence[Path]) -> None:
-    """Refuse, before anything is computed, what could not be written or would replace a file in use."""
+    """Refuse an output that cannot be written, or that would replace an input, before anything is computed."""
     from PIL import Image
 
     if output.suffix.lower() not in (".flo", ".png"):
@@ -306,13 +230,7 @@ def _say_result(result: FlowResult, preset: str = "") -> None:
 
 
 def say_errors(flow: Any, truth: Any) -> None:
-    """Print the errors of a flow, in radians, pixels, degrees and shares.
-
-    Parameters
-    ----------
-    flow, truth : ndarray, shape (2, H, W)
-        Estimate and truth.
-    """
+    """Print the errors of a flow, shape (2, H, W), in radians, degrees, pixels and per cent."""
     from fracbench.evaluation.metrics import accuracy, endpoint_error, flow_errors, robustness
 
     errors = flow_errors(flow, truth)
@@ -327,22 +245,12 @@ def say_errors(flow: Any, truth: Any) -> None:
 
 
 def picture_beside(flow: Path) -> Path:
-    """Return where the colour picture of a flow goes unless told otherwise: ``NAME.color.png`` beside it."""
+    """Return the default place of a flow's colour picture: ``NAME.color.png`` beside it."""
     return flow.with_name(f"{flow.stem}.color.png")
 
 
 def write_flow_and_picture(flow: Any, path: Path, picture: Path) -> None:
-    """Write a flow and its colour picture.
-
-    Parameters
-    ----------
-    flow : ndarray, shape (2, H, W)
-        Flow.
-    path : Path
-        ``.flo`` or KITTI ``.png``.
-    picture : Path
-        The picture.
-    """
+    """Write a flow, shape (2, H, W), as ``.flo`` or KITTI ``.png``, and its colour picture."""
     from fracbench.data.files import write_flow, write_image
     from fracbench.figures.flowcolor import flow_to_color
 
