@@ -51,8 +51,6 @@ def problems(results: Path, committed: Path, sources: Sources) -> list[str]:
     found = []
     for name in (*PAPER, *EXPERIMENTS):
         source = sources.get(name)
-        if source is None:
-            continue
         if source.n_missing:
             found.append(f"{name}: {source.n_missing} of {source.n_points} points are missing: {source.command}")
         n_dirty = sum(bool(row.provenance.get("dirty")) for row in source.rows.values())

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fracbench.harness.config.experiment import Experiment, list_experiments, load_experiment
+from fracbench.harness.config.experiment import Experiment, load_experiment
 from fracbench.harness.config.paths import checkout
 from fracbench.harness.run.plan import Plan, plan_experiment
 from fracbench.harness.run.store import RUNS, Row, Store
@@ -30,21 +31,13 @@ def homes(results: Path) -> tuple[Path, ...]:
     return (results,) if root is None else (results, root / COMMITTED)
 
 
+def _suffix(plan: Plan) -> str:
+    return SUFFIXES[plan.stand_in + 2 * plan.small]
+
+
 @dataclass(frozen=True)
 class Source:
-    """An experiment with the rows that the store holds of it.
-
-    Attributes
-    ----------
-    experiment : Experiment
-        The experiment, as its file defines it.
-    plan : Plan
-        Its points.
-    rows : mapping of str to Row
-        Stored rows by key.
-    command : str
-        The command that computes the missing ones.
-    """
+    """An experiment with its plan, the rows that the store holds of it by key, and the command for the others."""
 
     experiment: Experiment
     plan: Plan
@@ -61,7 +54,7 @@ class Source:
     @property
     def suffix(self) -> str:
         """The ending of its artefact's file names."""
-        return SUFFIXES[self.plan.stand_in + 2 * self.plan.small]
+        return _suffix(self.plan)
 
     @property
     def n_points(self) -> int:
@@ -80,30 +73,9 @@ class Source:
 
 
 class Sources:
-    """The experiments of the project and of the working folder.
+    """The experiments of the project and of the working folder, as stored in a results folder.
 
-    Parameters
-    ----------
-    results : Path
-        The results folder.
-    settings : sequence of str, optional
-        Overrides for all grids: data set, paths.
-    small : bool, optional
-        Whether grids are thinned.
-    plans : mapping of str to Plan, optional
-        Experiments that have been planned already, by name.
-
-    Attributes
-    ----------
-    stand_in : bool
-        Whether scenes take the place of Middlebury sequences.
-    suffix : str
-        The ending of the page's name.
-
-    Raises
-    ------
-    InputError
-        A store or data that cannot be read.
+    `settings` override all grids (data set, paths), `small` thins them; `plans` holds the plans already made.
     """
 
     def __init__(
@@ -117,27 +89,31 @@ class Sources:
         self.settings = tuple(settings)
         self.small = small
         self._data = plan_experiment({}, self.settings, allow_download=False, small=small)
-        self.stand_in = self._data.stand_in
-        self.suffix = SUFFIXES[self._data.stand_in + 2 * self._data.small]
-        self._plans = dict(plans or {})
-        self._found: dict[str, Source | None] = {}
+        self.stand_in = self._data.stand_in  # scenes take the place of Middlebury
+        self.suffix = _suffix(self._data)
+        self._plans = plans or {}
+        self._found: dict[str, Source] = {}
 
-    def get(self, name: str) -> Source | None:
-        """Return an experiment with its rows, or None if there is no experiment of that name."""
+    def get(self, name: str) -> Source:
+        """Return an experiment with its rows."""
         if name not in self._found:
-            self._found[name] = self._read(name) if name in list_experiments() else None
+            experiment = load_experiment(name)
+            plan = self._plans.get(name)
+            if plan is None:
+                plan = plan_experiment(experiment.grids, self.settings, allow_download=False, small=self.small)
+            with Store(self.results / RUNS / "store.sqlite", readonly=True) as store:
+                rows = store.get_many(plan.unique())
+            self._found[name] = Source(experiment, plan, rows, self.command(name))
         return self._found[name]
 
-    def outline(self, name: str) -> Source | None:
-        """Return an experiment without points, to show its files; None if there is none."""
-        if name not in list_experiments():
-            return None
+    def outline(self, name: str) -> Source:
+        """Return an experiment without points, to show its files."""
         return Source(load_experiment(name), self._data, {}, self.command(name))
 
     def load(self, name: str) -> pd.DataFrame | None:
         """Return an experiment's tidy table, or None if nothing of it is stored."""
         source = self.get(name)
-        return source.table if source is not None and source.rows else None
+        return source.table if source.rows else None
 
     @cached_property
     def judged(self) -> list[Judged]:
@@ -152,20 +128,11 @@ class Sources:
 
     def command(self, name: str) -> str:
         """Return the command that computes an experiment."""
-        kind, number = next(
-            ((word, name.removeprefix(start)) for start, word in _NUMBERED if name.startswith(start)), ("", "")
-        )
-        words = [kind, number] if number.isdigit() else ["experiment", name]
+        found = re.fullmatch(r"(table|fig)(\d+)", name)
+        if found is None:
+            return self.typed("experiment", name)
+        return self.typed("table" if found[1] == "table" else "figure", found[2])
+
+    def typed(self, *words: str) -> str:
+        """Return a command with the settings of these results."""
         return " ".join(["fracbench", *words, *self.settings, *(["--small"] if self.small else [])])
-
-    def _read(self, name: str) -> Source:
-        experiment = load_experiment(name)
-        plan = self._plans.get(name)
-        if plan is None:
-            plan = plan_experiment(experiment.grids, self.settings, allow_download=False, small=self.small)
-        with Store(self.results / RUNS / "store.sqlite", readonly=True) as store:
-            rows = store.get_many(plan.unique())
-        return Source(experiment, plan, rows, self.command(name))
-
-
-_NUMBERED = (("table", "table"), ("fig", "figure"))

@@ -98,7 +98,8 @@ def stored(*, stand_in: bool = False, n_missing: int = 0, dirty: bool = False) -
     """Sources of one experiment, Table 2."""
     rows = {"key": SimpleNamespace(provenance={"dirty": dirty})}
     source = SimpleNamespace(n_missing=n_missing, n_points=3, rows=rows, command="fracbench table 2")
-    return SimpleNamespace(stand_in=stand_in, get=lambda name: source if name == "table2" else None)
+    whole = SimpleNamespace(n_missing=0, rows={})
+    return SimpleNamespace(stand_in=stand_in, get=lambda name: source if name == "table2" else whole)
 
 
 def test_the_copies_are_renewed_and_nothing_else_is_copied(folders):

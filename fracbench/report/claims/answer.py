@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +11,7 @@ from fracbench.errors import InputError
 from fracbench.figures import style
 from fracbench.figures.cache import draw
 from fracbench.harness.config.paths import asset
+from fracbench.report.claims.claims import count_verdicts
 from fracbench.report.claims.judging import (
     CONTEXT,
     SETTINGS,
@@ -45,31 +45,21 @@ HEADLINES = (
     "depends-on-structure",
 )
 _MARKS = ("<!-- answer: written by `fracbench claims --readme README.md` -->", "<!-- end of the answer -->")
-_PAPER, _COLOURS = "paper", {"paper": "black", "reference": style.PALETTE[0], "published": style.PALETTE[1]}
-_COLOURS[CONTEXT] = style.PALETTE[2]
-_MARKERS = {"paper": "v", "reference": "o", "published": "D", CONTEXT: "s"}
+_PAPER = "paper"
+#: Colour and marker by source.
+_LOOKS = {
+    _PAPER: ("black", "v"),
+    "reference": (style.PALETTE[0], "o"),
+    "published": (style.PALETTE[1], "D"),
+    CONTEXT: (style.PALETTE[2], "s"),
+}
 
 
 def answer_table(sources: Sources) -> pd.DataFrame:
-    """Return the numbers of the picture, one row a mark.
+    """Return the numbers of the picture, one row a mark: ``panel, place, source, value, low, high``.
 
-    Parameters
-    ----------
-    sources : Sources
-        The experiments.
-
-    Returns
-    -------
-    pandas.DataFrame
-        ``panel`` (``alpha``: the order with the smallest AEPE, at the lambda_SB of the paper's captions;
-        ``aepe``: TV-L1-SB's in Table 2, pixels),
-        ``place`` (region or sequence), ``source``, ``value``, and for alpha the range within 2 % of the best,
-        ``low`` to ``high``.
-
-    Raises
-    ------
-    UnjudgeableError
-        Points are missing, failed or of synthetic scenes.
+    Panel ``alpha`` has the order with the smallest AEPE on each region, at the lambda_SB of the paper's captions,
+    and the range within 2 % of the best; panel ``aepe`` has the AEPE of TV-L1-SB in Table 2, in pixels.
     """
     import pandas as pd
 
@@ -91,20 +81,7 @@ def answer_table(sources: Sources) -> pd.DataFrame:
 
 
 def answer_figure(table: pd.DataFrame, title: str) -> Figure:
-    """Draw the paper beside ours: the best alpha of each region, the errors of each sequence.
-
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        From `answer_table`.
-    title : str
-        Heading.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Two panels of marks with one legend below.
-    """
+    """Draw `answer_table`: the best alpha of each region beside the errors of each sequence, one legend below."""
     with style.house_style():
         fig = style.new_figure(4.3)
         fig.suptitle(title)
@@ -129,9 +106,10 @@ def _draw_marks(ax: Axes, table: pd.DataFrame) -> None:
     for i, name in enumerate(names):
         part = table[table["source"] == name].set_index("place").loc[places]
         rows = [row + 0.17 * (i - (len(names) - 1) / 2) for row in range(len(places))]
-        look: dict[str, Any] = {"color": _COLOURS[name], "zorder": 3}
+        colour, marker = _LOOKS[name]
+        look: dict[str, Any] = {"color": colour, "zorder": 3}
         ax.hlines(rows, part["low"].astype(float), part["high"].astype(float), linewidth=2.5, alpha=0.45, **look)
-        ax.plot(part["value"], rows, _MARKERS[name], markersize=5.5, label=name, linestyle="none", **look)
+        ax.plot(part["value"], rows, marker, markersize=5.5, label=name, linestyle="none", **look)
     ax.set_yticks(range(len(places)), places)
     ax.set_ylim(len(places) - 0.5, -0.5)
     ax.grid(axis="y", visible=False)
@@ -140,18 +118,7 @@ def _draw_marks(ax: Axes, table: pd.DataFrame) -> None:
 
 
 def write_answer(sources: Sources) -> list[Path]:
-    """Write the picture with its CSV, and the answer as Markdown.
-
-    Parameters
-    ----------
-    sources : Sources
-        The experiments.
-
-    Returns
-    -------
-    list of Path
-        Files; without the picture where points are missing or of synthetic scenes.
-    """
+    """Write the answer as Markdown and, where all points are there and not of scenes, the picture with its CSV."""
     note = sources.results / "tables" / f"answer{sources.suffix}.md"
     files = [write_text(answer_text(sources), note)]
     try:
@@ -165,22 +132,17 @@ def write_answer(sources: Sources) -> list[Path]:
 def answer_text(sources: Sources) -> str:
     """Return the answer in Markdown: the claims counted by protocol, then the main ones one by one."""
     judged = sources.judged
-    settings = list(dict.fromkeys(verdict.protocol for item in judged for verdict in item.verdicts))
-    counts = {
-        name: Counter(v.verdict for item in judged for v in item.verdicts if v.protocol == name)
-        for name in settings
-    }
+    counts = count_verdicts(judged)
     words = [word for word in VERDICTS if any(count[word] for count in counts.values())]
     lines = [f"| computed as | claims judged | {' | '.join(words)} |", _rule(2 + len(words))]
     for name, count in counts.items():
         numbers = " | ".join(str(number) for number in (count.total(), *(count[word] for word in words)))
         lines.append(f"| `{name}`: {SETTINGS.get(name, '')} | {numbers} |")
     shown = [item for name in HEADLINES for item in judged if item.claim.id == name]
-    lines += ["", f"| among them | {' | '.join(f'`{name}`' for name in settings)} |", _rule(1 + len(settings))]
+    lines += ["", f"| among them | {' | '.join(f'`{name}`' for name in counts)} |", _rule(1 + len(counts))]
     for item in shown:
-        given = {verdict.protocol: verdict.verdict for verdict in item.verdicts}
         place = item.claim.place.rpartition(", l.")[0]
-        cells = " | ".join(given.get(name, "") for name in settings)
+        cells = " | ".join(item.words.get(name, "") for name in counts)
         lines.append(f"| “{item.claim.quote}” ({place}; `{item.claim.id}`) | {cells} |")
     return "\n".join(lines) + "\n"
 
@@ -190,25 +152,7 @@ def _rule(columns: int) -> str:
 
 
 def renew(readme: Path, sources: Sources) -> Path:
-    """Put the answer between its markers in a Markdown file.
-
-    Parameters
-    ----------
-    readme : Path
-        The file, with both markers.
-    sources : Sources
-        The experiments.
-
-    Returns
-    -------
-    Path
-        The file.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or lacks the markers.
-    """
+    """Put the answer between its markers in a Markdown file; return the file."""
     try:
         text = readme.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as exc:

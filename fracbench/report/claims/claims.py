@@ -17,8 +17,6 @@ from fracbench.report.claims.judging import RULES, UNKNOWN, VERDICTS, Tables, Un
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["EXPERIMENTS", "VERDICTS", "Claim", "Judged", "Verdict", "evaluate", "load_claims", "render_claims"]
-
 #: The experiments that the rules read.
 EXPERIMENTS = ("table2", "fig2", "fig3", "fig4", "fig6", "fig7", "regions_lambda_sb")
 _MODULES = (table_rules, region_rules)  # imported for the rules they register
@@ -35,22 +33,9 @@ _INTRODUCTION = (
 
 @dataclass(frozen=True)
 class Claim:
-    """A sentence of the paper and how it is judged.
+    """A sentence of the paper, its test in words, and the rule with its arguments that performs the test.
 
-    Attributes
-    ----------
-    id : str
-        Short name.
-    quote : str
-        The paper's words.
-    place : str
-        Section, figure or table, and line of the LaTeX source.
-    test : str
-        How it is judged, one sentence.
-    rule : str
-        Name in `fracbench.report.claims.judging.RULES`.
-    args : mapping
-        Arguments of the rule.
+    The place is section, figure or table, and line of the LaTeX source.
     """
 
     id: str
@@ -77,25 +62,14 @@ class Judged:
     claim: Claim
     verdicts: tuple[Verdict, ...]
 
+    @property
+    def words(self) -> dict[str, str]:
+        """The verdicts' words by protocol."""
+        return {verdict.protocol: verdict.verdict for verdict in self.verdicts}
+
 
 def load_claims(path: Path | None = None) -> list[Claim]:
-    """Read the claims.
-
-    Parameters
-    ----------
-    path : Path, optional
-        YAML file; the project's ``results/claims.yaml`` by default.
-
-    Returns
-    -------
-    list of Claim
-        In the order of the file.
-
-    Raises
-    ------
-    InputError
-        Not YAML, a missing or unknown key, an unknown rule, an id given twice.
-    """
+    """Read the claims: the project's ``results/claims.yaml``, or a file like it."""
     import yaml
 
     path = path or asset("results/claims.yaml")
@@ -125,20 +99,9 @@ def _claim(row: Mapping[Any, Any], where: str) -> Claim:
 
 
 def evaluate(load: Callable[[str], pd.DataFrame | None], claims: Sequence[Claim] | None = None) -> list[Judged]:
-    """Judge the claims.
+    """Judge claims, the project's by default, under each protocol that their rules can judge.
 
-    Parameters
-    ----------
-    load : callable
-        Gives the tidy table of an experiment (`fracbench.harness.run.tidy.tidy`) by name, None if there is none;
-        asked for the names in `EXPERIMENTS`.
-    claims : sequence of Claim, optional
-        The project's by default.
-
-    Returns
-    -------
-    list of Judged
-        A verdict for each protocol; for claims on alpha one more, the reference with ``reflect`` and context.
+    `load` gives the tidy table of an experiment by name, None if there is none; it is asked for `EXPERIMENTS`.
     """
     tables = Tables(load)
     return [
@@ -156,29 +119,17 @@ def _judge(claim: Claim, tables: Tables, setting: str) -> Verdict:
 
 
 def render_claims(judged: Sequence[Judged]) -> tuple[str, str]:
-    """Lay verdicts out for readers and for programs.
-
-    Parameters
-    ----------
-    judged : sequence of Judged
-        From `evaluate`.
-
-    Returns
-    -------
-    markdown : str
-        Counts, a table with a row a claim, and the evidence below.
-    csv : str
-        A row a claim and protocol: ``id, quote, place, test, protocol, verdict, evidence``.
-    """
+    """Return verdicts as Markdown, with the evidence below the table, and as CSV, a row a claim and protocol."""
     import pandas as pd
 
-    overview = overview_table(judged)
+    table = overview_table(judged).to_markdown(index=False, disable_numparse=True)
     parts = [
         "# The paper's claims\n",
         _INTRODUCTION + "\n",
         "\n".join(f"- {line}" for line in count_lines(judged)),
+        f"\n{table}\n",
+        "## Evidence\n",
     ]
-    parts += ["\n" + str(overview.to_markdown(index=False, disable_numparse=True)) + "\n", "## Evidence\n"]
     for item in judged:
         parts.append(
             f"### {item.claim.id}\n\n> {item.claim.quote}\n\n{item.claim.place}. Test: {item.claim.test}\n"
@@ -199,25 +150,29 @@ def overview_table(judged: Sequence[Judged]) -> pd.DataFrame:
     """Return a row a claim: quotation, place, and the verdict under each protocol (empty where none applies)."""
     import pandas as pd
 
-    protocols = list(dict.fromkeys(v.protocol for item in judged for v in item.verdicts))
+    protocols = count_verdicts(judged)
     rows = []
     for item in judged:
-        given = {v.protocol: v.verdict for v in item.verdicts}
         words = {"claim": item.claim.id, "quotation": item.claim.quote, "place": item.claim.place}
-        rows.append({**words, **{protocol: given.get(protocol, "") for protocol in protocols}})
+        rows.append(words | {protocol: item.words.get(protocol, "") for protocol in protocols})
     return pd.DataFrame(rows)
+
+
+def count_verdicts(judged: Sequence[Judged]) -> dict[str, Counter[str]]:
+    """Return how often each verdict was given, by protocol."""
+    counts: dict[str, Counter[str]] = {}
+    for item in judged:
+        for protocol, word in item.words.items():
+            counts.setdefault(protocol, Counter())[word] += 1
+    return counts
 
 
 def count_lines(judged: Sequence[Judged]) -> list[str]:
     """Say for each protocol how many claims got which verdict."""
-    counts: dict[str, Counter[str]] = {}
-    for item in judged:
-        for verdict in item.verdicts:
-            counts.setdefault(verdict.protocol, Counter())[verdict.verdict] += 1
     return [
-        f"{protocol}: of {sum(count.values())} claims "
+        f"{protocol}: of {count.total()} claims "
         + ", ".join(f"{count[verdict]} {_PLURALS[verdict]}" for verdict in VERDICTS if count[verdict])
-        for protocol, count in counts.items()
+        for protocol, count in count_verdicts(judged).items()
     ]
 
 

@@ -8,7 +8,7 @@ each, and in part if it does so, wholly or in part, in at least half of them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -43,11 +43,8 @@ MORE_SWEEPS = 0.25  # this many more inner iterations still count as nearly the 
 CLOSE = 1.5  # within this factor of 2/theta counts as close to it
 NEAR = f"within {100 * FLAT:g} %"
 
-Judgement = tuple[str, str]
-"""Verdict and evidence."""
-
-Rule = Callable[..., Judgement]
-"""``rule(tables, setting, **args)``."""
+Judgement = tuple[str, str]  # verdict and evidence
+Rule = Callable[..., Judgement]  # rule(tables, setting, **args)
 
 
 @lru_cache(maxsize=1)
@@ -65,43 +62,17 @@ class UnjudgeableError(Exception):
 
 
 class Tables:
-    """The tidy tables of the experiments, each loaded once.
-
-    Parameters
-    ----------
-    load : callable
-        Gives the table of an experiment (`fracbench.harness.run.tidy.tidy`) by name, or None.
-    """
+    """The tidy tables of the experiments, each loaded once: `load` gives that of a name, or None."""
 
     def __init__(self, load: Callable[[str], pd.DataFrame | None]) -> None:
-        self._load = load
-        self._known: dict[str, pd.DataFrame | None] = {}
+        self._load = lru_cache(maxsize=None)(load)
 
     def points(self, experiment: str, needs: Sequence[str] = ERRORS, **where: Any) -> pd.DataFrame:
-        """Return the points of an experiment with these labels or parameters, all of them finished.
+        """Return the points of an experiment with these values by column: at least one, and all of them finished.
 
-        Parameters
-        ----------
-        experiment : str
-            Its name.
-        needs : sequence of str, optional
-            Columns that must hold a number in each row.
-        **where
-            Values by column.
-
-        Returns
-        -------
-        pandas.DataFrame
-            At least one row.
-
-        Raises
-        ------
-        UnjudgeableError
-            No such points, points on synthetic scenes, points that are missing or failed.
+        The columns `needs` must hold a number in each row.
         """
-        if experiment not in self._known:
-            self._known[experiment] = self._load(experiment)
-        table = self._known[experiment]
+        table = self._load(experiment)
         if table is None:
             raise UnjudgeableError(f"there are no results of {experiment}")
         chosen = np.ones(len(table), bool)
@@ -152,23 +123,9 @@ def combine(verdicts: Sequence[str]) -> str:
     return IN_PART if 2 * sum(verdict != FAILS for verdict in verdicts) >= len(verdicts) else FAILS
 
 
-def weaker(first: str, second: str) -> str:
-    """Return the verdict on a case that needs both."""
-    return max(first, second, key=VERDICTS.index)
-
-
 def grade(whole: bool, part: bool) -> str:
     """Return the verdict on one case."""
     return HOLDS if whole else IN_PART if part else FAILS
-
-
-def curves(table: pd.DataFrame, family: str, x: str, least: int = 3) -> Iterator[tuple[float, pd.DataFrame]]:
-    """Yield the curves of a figure, sorted along `x`; one with fewer than `least` points cannot be judged."""
-    for value, part in table.groupby(family):
-        curve = part.drop_duplicates([x]).sort_values(x)
-        if len(curve) < least:
-            raise UnjudgeableError(f"the curve of {family} {value:g} has {len(curve)} points")
-        yield value, curve
 
 
 def region_curve(tables: Tables, setting: str, region: str) -> pd.DataFrame:
@@ -188,8 +145,7 @@ def region_curve(tables: Tables, setting: str, region: str) -> pd.DataFrame:
 
 def near_best(curve: pd.DataFrame, metric: str, x: str) -> np.ndarray[Any, Any]:
     """Return the values of `x` whose error is at most `FLAT` above the smallest."""
-    near: np.ndarray[Any, Any] = curve[x][curve[metric] <= (1.0 + FLAT) * curve[metric].min()].to_numpy()
-    return near
+    return np.asarray(curve[x][curve[metric] <= (1.0 + FLAT) * curve[metric].min()])
 
 
 def minimum(curve: pd.DataFrame, metric: str, x: str) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,11 +16,11 @@ from fracbench.report.claims.judging import (
     IN_PART,
     MORE_SWEEPS,
     PROTOCOLS,
+    VERDICTS,
     Judgement,
     Tables,
     UnjudgeableError,
     combine,
-    curves,
     grade,
     minimum,
     near_best,
@@ -28,7 +29,6 @@ from fracbench.report.claims.judging import (
     rule,
     span,
     two_over_theta,
-    weaker,
 )
 from fracbench.studies.base import FLAT
 from fracbench.studies.paper.table2 import distance, versus_published
@@ -81,8 +81,7 @@ def best_inside(tables: Tables, setting: str, *, experiment: str, x: str, low: f
     """Judge whether each curve of a figure is smallest at an `x` from `low` to `high`."""
     table = tables.points(experiment, protocol=setting)
     verdicts, places = [], []
-    for _, curve in curves(table, "lambda", x):
-        _require_beyond(curve, x, low, high)
+    for curve in _curves(table, x, (low, high)):
         for metric in ERRORS:
             places.append(minimum(curve, metric, x))
             near = near_best(curve, metric, x)
@@ -100,15 +99,14 @@ def better_inside(tables: Tables, setting: str, *, experiment: str, x: str, low:
     """Judge whether the errors of each curve are larger below `low` and above `high` than between."""
     table = tables.points(experiment, protocol=setting)
     ratios: dict[str, list[float]] = {"below": [], "above": []}
-    for _, curve in curves(table, "lambda", x):
-        _require_beyond(curve, x, low, high)
+    for curve in _curves(table, x, (low, high)):
         outside = {"below": curve[curve[x] < low], "above": curve[curve[x] > high]}
         inside = curve[(curve[x] >= low) & (curve[x] <= high)]
         for metric in ERRORS:
             for side, part in outside.items():
                 ratios[side].append(float(part[metric].mean() / inside[metric].mean()))
     sides = {side: [grade(r > 1.0 + FLAT, r > 1.0) for r in values] for side, values in ratios.items()}
-    verdicts = [weaker(below, above) for below, above in zip(sides["below"], sides["above"], strict=True)]
+    verdicts = [max(both, key=VERDICTS.index) for both in zip(*sides.values(), strict=True)]
     parts = [
         f"{sides[side].count(HOLDS)} of {len(verdicts)} curves are higher {side} ({percent(min(values))} to "
         f"{percent(max(values))})"
@@ -147,8 +145,7 @@ def slower_far_away(tables: Tables, setting: str, *, experiment: str) -> Judgeme
     table = tables.points(experiment, ("inner_iterations",), protocol=setting)
     target = two_over_theta(table)
     counts = []
-    for _, curve in curves(table, "lambda", "lambda_sb"):
-        _require_beyond(curve, "lambda_sb", target / CLOSE, target * CLOSE)
+    for curve in _curves(table, "lambda_sb", (target / CLOSE, target * CLOSE)):
         rows = [curve.iloc[0], nearest_row(curve, "lambda_sb", target), curve.iloc[-1]]
         counts.append([float(row["inner_iterations"]) for row in rows])
         places = [float(row["lambda_sb"]) for row in rows]
@@ -166,7 +163,7 @@ def slower_with_theta(tables: Tables, setting: str, *, experiment: str) -> Judge
     """Judge whether inner iterations grow from the theta nearest to 2/lambda_SB to the largest."""
     table = tables.points(experiment, ("inner_iterations",), protocol=setting, method="tvl1_sb")
     verdicts, counts = [], []
-    for _, curve in curves(table, "lambda", "theta"):
+    for curve in _curves(table, "theta"):
         rows = [nearest_row(curve, "theta", 2.0 / float(curve["lambda_sb"].iloc[0])), curve.iloc[-1]]
         start, end = (float(row["inner_iterations"]) for row in rows)
         verdicts.append(grade(end > start, False))
@@ -186,8 +183,7 @@ def suitable_choice(tables: Tables, setting: str, *, experiment: str) -> Judgeme
     table = tables.points(experiment, (*ERRORS, "inner_iterations"), protocol=setting)
     target = two_over_theta(table)
     excess: dict[str, list[float]] = {name: [] for name in (*ERRORS, "inner_iterations")}
-    for _, curve in curves(table, "lambda", "lambda_sb"):
-        _require_beyond(curve, "lambda_sb", target / CLOSE, target * CLOSE)
+    for curve in _curves(table, "lambda_sb", (target / CLOSE, target * CLOSE)):
         chosen = nearest_row(curve, "lambda_sb", target)
         for name, values in excess.items():
             values.append(float(chosen[name] / curve[name].min()))
@@ -201,10 +197,16 @@ def suitable_choice(tables: Tables, setting: str, *, experiment: str) -> Judgeme
     return combine(verdicts), evidence
 
 
-def _require_beyond(curve: pd.DataFrame, x: str, low: float, high: float) -> None:
-    """Refuse a curve that does not reach beyond a range on both sides, and into it."""
-    values = curve[x]
-    if not (values.min() < low and values.max() > high and values.between(low, high).any()):
-        raise UnjudgeableError(
-            f"the values of {x}, {span(values.to_numpy())}, do not reach beyond {low:g} to {high:g}"
-        )
+def _curves(table: pd.DataFrame, x: str, within: tuple[float, float] | None = None) -> Iterator[pd.DataFrame]:
+    """Yield a figure's curves, one a lambda, sorted along `x`; refuse one that does not span more than a range."""
+    for value, part in table.groupby("lambda"):
+        curve = part.drop_duplicates([x]).sort_values(x)
+        if len(curve) < 3:
+            raise UnjudgeableError(f"the curve of lambda {value:g} has {len(curve)} points")
+        if within is not None:
+            (low, high), values = within, curve[x]
+            if not (values.min() < low and values.max() > high and values.between(low, high).any()):
+                raise UnjudgeableError(
+                    f"the values of {x}, {span(values.to_numpy())}, do not reach beyond {low:g} to {high:g}"
+                )
+        yield curve

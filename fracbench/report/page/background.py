@@ -14,7 +14,7 @@ from fracbench.harness.run.store import Row
 from fracbench.model.params import FlowParams
 from fracbench.report.claims.judging import PROTOCOLS
 from fracbench.report.page.elements import Block, Cell, Column, Details, Section, Table, Text, demoted
-from fracbench.report.sources import Source, Sources
+from fracbench.report.sources import Source
 
 _PROTOCOLS = (*PROTOCOLS, "recommended")
 
@@ -111,22 +111,8 @@ def conventions() -> Section:
 # -- provenance ------------------------------------------------------------------------------------
 
 
-def provenance(sources: Sources, names: Iterable[str]) -> Section:
-    """Return where the numbers come from: experiments with their points, machines, versions, commits.
-
-    Parameters
-    ----------
-    sources : Sources
-        The experiments.
-    names : iterable of str
-        Those on the page.
-
-    Returns
-    -------
-    Section
-        Made of stored rows alone: an equal store gives an equal section.
-    """
-    found = [source for name in names if (source := sources.get(name)) is not None]
+def provenance(found: Sequence[Source]) -> Section:
+    """Return where the numbers come from, by stored rows alone: experiments, machines, versions, commits."""
     rows = all_rows(found)
     blocks: list[Block] = [_experiments(found)]
     if rows:

@@ -19,29 +19,19 @@ _LEAD = (
 
 
 def beyond(sources: Sources) -> Section:
-    """Return the results beyond the paper, or the commands for them; nothing is planned or computed.
+    """Return for each experiment beyond the paper the text before its first table, figures, and folded tables.
 
-    Parameters
-    ----------
-    sources : Sources
-        The results folder, and the data set and size that are shown.
-
-    Returns
-    -------
-    Section
-        For each experiment the text before its first table, its figures, and its tables, folded.
+    Where they are missing, their command; nothing is planned or computed.
     """
     blocks: list[Block] = [Text(_LEAD)]
     for name in EXPERIMENTS:
         blocks += _told(name, sources)
-    blocks += document("docs/beyond.md", "The whole story: docs/beyond.md")
+    blocks.append(document("docs/beyond.md", "The whole story: docs/beyond.md"))
     return Section("beyond", "Beyond the paper", "Beyond the paper", blocks)
 
 
 def _told(name: str, sources: Sources) -> list[Block]:
     source = sources.outline(name)
-    if source is None:
-        return []
     heading = Heading(source.experiment.title, f"beyond-{name}")
     path = sources.find(f"tables/{name}{source.suffix}.md")
     if path is None:

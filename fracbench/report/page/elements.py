@@ -6,35 +6,29 @@ import base64
 import io
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
+from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 from fracbench.errors import InputError
 
 if TYPE_CHECKING:
+    import numpy as np
     from markdown_it import MarkdownIt
+    from numpy.typing import NDArray
 
 _TEMPLATES = Path(__file__).resolve().parent / "templates"
+_WIDTH = 480  # of photographs, at most
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A cell of a table.
+    """A cell of a table, with smaller text below.
 
-    Attributes
-    ----------
-    text : str
-        The text.
-    note : str
-        Smaller text below.
-    tone : str
-        CSS class: a tint, or with `badge` the colour of the badge.
-    badge : bool
-        Whether the text is a badge.
-    sort : str
-        The sort key; the text if empty.
+    `tone` is its CSS class: a tint, or the colour of the badge that the text becomes. It sorts by its text unless
+    `sort` is given.
     """
 
     text: str
@@ -57,35 +51,18 @@ class Column:
 class Text:
     """Prose in Markdown; HTML in it is shown as text."""
 
-    kind: ClassVar[str] = "text"
     markdown: str
     role: str = ""
-
-    @property
-    def html(self) -> str:
-        """The prose as HTML."""
-        return markdown_html(self.markdown)
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table that can be sorted; the first cell of a row names the row.
+    """A table that can be sorted, and filtered where it names the words for it; a row's first cell names the row.
 
-    Attributes
-    ----------
-    caption : str
-        The caption, which names its box for screen readers, too.
-    columns : sequence of Column
-        Headings.
-    rows : sequence of sequence of Cell
-        As long as `columns` each.
-    cards : bool
-        Whether rows become cards on a narrow screen: for rows of sentences.
-    filters : sequence of str
-        Words to filter rows by; empty for a table without a filter.
+    The caption names its box for screen readers, too. As `cards`, for rows of sentences, rows become cards on a
+    narrow screen.
     """
 
-    kind: ClassVar[str] = "table"
     caption: str
     columns: Sequence[Column]
     rows: Sequence[Sequence[Cell]]
@@ -95,77 +72,44 @@ class Table:
     @property
     def groups(self) -> list[tuple[str, int]]:
         """Headings above the headings, with the number of columns each spans; empty if there are none."""
-        spans: list[tuple[str, int]] = []
-        for column in self.columns:
-            if spans and spans[-1][0] == column.group:
-                spans[-1] = (column.group, spans[-1][1] + 1)
-            else:
-                spans.append((column.group, 1))
+        spans = [(name, len([*columns])) for name, columns in groupby(self.columns, lambda column: column.group)]
         return spans if any(name for name, _ in spans) else []
 
 
 @dataclass(frozen=True)
 class Picture:
-    """An embedded picture.
+    """An embedded picture: ``data:`` URI, words for readers who cannot see it, Markdown below, width and height.
 
-    Attributes
-    ----------
-    uri : str
-        ``data:`` URI.
-    alt : str
-        Description for readers who cannot see it.
-    caption : str
-        Text below it, Markdown.
-    size : (int, int)
-        Width and height in pixels.
-    round : bool
-        Whether only the disc in it is shown.
+    With `round`, only the disc in it is shown.
     """
 
-    kind: ClassVar[str] = "picture"
     uri: str
     alt: str
     caption: str
     size: tuple[int, int]
     round: bool = False
 
-    @property
-    def caption_html(self) -> str:
-        """The caption as HTML."""
-        return markdown_html(self.caption)
-
 
 @dataclass(frozen=True)
 class Gallery:
-    """Pictures in rows of equal length, with a legend above them."""
+    """Pictures in rows of three, with a legend above them."""
 
-    kind: ClassVar[str] = "gallery"
     label: str
     pictures: Sequence[Picture]
-    legend: Sequence[Picture] = ()
-    columns: int = 3
+    legend: Sequence[Picture]
 
 
 @dataclass(frozen=True)
 class Missing:
     """Something that would stand here if it had been computed, and the command for it."""
 
-    kind: ClassVar[str] = "missing"
     what: str
     command: str
 
 
 @dataclass(frozen=True)
 class Tally:
-    """How often each verdict was given, for several protocols: one bar each.
-
-    Attributes
-    ----------
-    name, text : str
-        Heading of the card and the line below it.
-    counts : sequence of (str, str, int)
-        Word, CSS class, number.
-    """
+    """A card that counts the verdicts under one protocol: a line of text, and word, CSS class, number of each."""
 
     name: str
     text: str
@@ -176,7 +120,6 @@ class Tally:
 class Tallies:
     """Cards side by side."""
 
-    kind: ClassVar[str] = "tallies"
     cards: Sequence[Tally]
 
 
@@ -184,7 +127,6 @@ class Tallies:
 class Heading:
     """A heading inside a section."""
 
-    kind: ClassVar[str] = "heading"
     text: str
     anchor: str
 
@@ -193,7 +135,6 @@ class Heading:
 class Details:
     """Blocks that are folded away until asked for."""
 
-    kind: ClassVar[str] = "details"
     summary: str
     blocks: Sequence[Block]
 
@@ -208,28 +149,11 @@ class Section:
     anchor: str
     entry: str
     title: str
-    blocks: Sequence[Block] = field(default_factory=list)
+    blocks: Sequence[Block]
 
 
 def render_page(title: str, lead: str, facts: Sequence[tuple[str, str]], sections: Sequence[Section]) -> str:
-    """Return the page as one HTML text that needs no other file.
-
-    Parameters
-    ----------
-    title : str
-        Heading of the page.
-    lead : str
-        The introduction, in Markdown.
-    facts : sequence of (str, str)
-        Names and values below the heading.
-    sections : sequence of Section
-        Content, in order.
-
-    Returns
-    -------
-    str
-        HTML. Equal arguments give equal text.
-    """
+    """Return the page as one HTML text that needs no other file; `facts` (name, value) stand below the title."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     environment = Environment(
@@ -239,34 +163,19 @@ def render_page(title: str, lead: str, facts: Sequence[tuple[str, str]], section
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters |= {"kind": lambda block: type(block).__name__, "markdown": markdown_html}
     return environment.get_template("report.html.j2").render(
         title=title,
-        lead=markdown_html(lead),
+        lead=lead,
         facts=facts,
         sections=sections,
-        css=template_text("report.css"),
-        script=template_text("report.js"),
+        css=(_TEMPLATES / "report.css").read_text(encoding="utf-8"),
+        script=(_TEMPLATES / "report.js").read_text(encoding="utf-8"),
     )
 
 
-def template_text(name: str) -> str:
-    """Return a file of the templates' folder: style sheet or script."""
-    return (_TEMPLATES / name).read_text(encoding="utf-8")
-
-
 def markdown_html(text: str) -> str:
-    """Return Markdown (with tables) as HTML; links stay text unless they lead to the web or into the page.
-
-    Parameters
-    ----------
-    text : str
-        Markdown. HTML in it is shown as text.
-
-    Returns
-    -------
-    str
-        HTML; tables stand in a box of their own, so that they scroll and not the page.
-    """
+    """Return Markdown as HTML; HTML in it is shown as text, links stay text unless to the web or into the page."""
     return str(_markdown().render(text))
 
 
@@ -276,6 +185,7 @@ def _markdown() -> MarkdownIt:
 
     parser = MarkdownIt("commonmark", {"html": False}).enable("table").disable("image")
     renderer: Any = parser.renderer
+    # A table stands in a box of its own, so that it scrolls and not the page.
     renderer.rules["table_open"] = lambda *_: (
         '<div class="scroll" role="region" aria-label="table" tabindex="0">\n<table class="sortable prose">\n'
     )
@@ -291,58 +201,39 @@ def demoted(text: str, levels: int) -> str:
     return re.sub(r"^(#+)(?= )", lambda match: "#" * min(len(match[1]) + levels, 6), text, flags=re.MULTILINE)
 
 
-def embedded(image: Any, *, width: int = 0, lossy: bool = False) -> tuple[str, tuple[int, int]]:
-    """Return a picture as a ``data:`` URI, and its size.
-
-    Parameters
-    ----------
-    image : PIL.Image.Image or ndarray of uint8, (H, W) or (H, W, 3)
-        The picture.
-    width : int, optional
-        Larger ones are scaled down to it; 0 for never.
-    lossy : bool, optional
-        JPEG with full colour, for frames and maps; PNG otherwise.
-
-    Returns
-    -------
-    uri : str
-        With media type and content.
-    size : (int, int)
-        Width and height in pixels.
-    """
+def photograph(image: NDArray[np.uint8], alt: str, caption: str) -> Picture:
+    """Embed a frame or a map as JPEG in full colour, scaled down to `_WIDTH`."""
     from PIL import Image
 
-    picture = image if isinstance(image, Image.Image) else Image.fromarray(image)
-    if width and picture.width > width:
-        height = round(picture.height * width / picture.width)
-        picture = picture.resize((width, height), Image.Resampling.BOX)
+    picture = Image.fromarray(image)
+    if picture.width > _WIDTH:
+        height = round(picture.height * _WIDTH / picture.width)
+        picture = picture.resize((_WIDTH, height), Image.Resampling.BOX)
     buffer = io.BytesIO()
-    if lossy:
-        picture.save(buffer, "JPEG", quality=85, subsampling=0)
-    else:
-        picture.save(buffer, "PNG")
-    media = "image/jpeg" if lossy else "image/png"
-    return data_uri(buffer.getvalue(), media), picture.size
+    picture.save(buffer, "JPEG", quality=85, subsampling=0)
+    return Picture(_uri(buffer.getvalue(), "jpeg"), alt, caption, picture.size)
 
 
-def embedded_file(path: Path) -> tuple[str, tuple[int, int]]:
-    """Return a PNG file, byte by byte, as a ``data:`` URI, and its size.
+def drawing(image: NDArray[np.uint8], alt: str, caption: str, *, disc: bool = False) -> Picture:
+    """Embed a small picture as PNG."""
+    from PIL import Image
 
-    Raises
-    ------
-    InputError
-        The file cannot be read or is no picture.
-    """
+    picture, buffer = Image.fromarray(image), io.BytesIO()
+    picture.save(buffer, "PNG")
+    return Picture(_uri(buffer.getvalue(), "png"), alt, caption, picture.size, disc)
+
+
+def picture_file(path: Path, alt: str, caption: str) -> Picture:
+    """Embed a PNG file, byte by byte."""
     from PIL import Image, UnidentifiedImageError
 
     try:
         content = path.read_bytes()
         with Image.open(io.BytesIO(content)) as picture:
-            return data_uri(content, "image/png"), picture.size
+            return Picture(_uri(content, "png"), alt, caption, picture.size)
     except (OSError, UnidentifiedImageError) as exc:
         raise InputError(f"{path}: cannot be read as a picture; draw the figure again") from exc
 
 
-def data_uri(content: bytes, media: str) -> str:
-    """Return bytes as a ``data:`` URI of a media type."""
-    return f"data:{media};base64,{base64.b64encode(content).decode('ascii')}"
+def _uri(content: bytes, media: str) -> str:
+    return f"data:image/{media};base64,{base64.b64encode(content).decode('ascii')}"

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
-from fracbench.errors import InputError
-from fracbench.harness.config.experiment import list_experiments
 from fracbench.harness.config.paths import asset
 from fracbench.report.claims.judging import SETTINGS
 from fracbench.report.page.elements import (
@@ -17,19 +16,15 @@ from fracbench.report.page.elements import (
     Section,
     Text,
     demoted,
-    embedded_file,
+    picture_file,
 )
 from fracbench.report.page.gallery import gallery, missing_flows, scenes, shared_scale
 from fracbench.report.sources import COMMITTED, SUFFIXES, Source, Sources, homes
 
 
-def document(path: str, summary: str) -> list[Block]:
-    """Return a document of the project, folded; nothing where it is not shipped."""
-    try:
-        text = asset(path).read_text(encoding="utf-8")
-    except InputError:
-        return []
-    return [Details(summary, [Text(demoted(text, 2))])]
+def document(path: str, summary: str) -> Details:
+    """Return a document of the project, folded."""
+    return Details(summary, [Text(demoted(asset(path).read_text(encoding="utf-8"), 2))])
 
 
 def answer_picture(sources: Sources) -> list[Block]:
@@ -37,7 +32,6 @@ def answer_picture(sources: Sources) -> list[Block]:
     path = sources.find(f"figures/answer{sources.suffix}.png")
     if path is None:
         return []
-    uri, size = embedded_file(path)
     alt = (
         "marks for the paper and for our runs: on the left the best alpha of each of the six regions, on the "
         "right the end-point error of TV-L1-SB on each of the eight sequences"
@@ -46,7 +40,7 @@ def answer_picture(sources: Sources) -> list[Block]:
         "The paper's numbers (black) beside ours. Left: the order with the smallest AEPE on each region. Right: "
         f"Table 2. {place(path, sources.results)}, also as PDF and CSV."
     )
-    return [Picture(uri, alt, caption, size)]
+    return [picture_file(path, alt, caption)]
 
 
 def place(path: Path, results: Path) -> str:
@@ -59,28 +53,21 @@ def place(path: Path, results: Path) -> str:
 # -- figures -------------------------------------------------------------------------------------
 
 
-def figures(sources: Sources) -> Section:
-    """Return the figures of the paper, drawn from the stored results, and those beyond it."""
-    names = [name for name in list_experiments() if name.startswith("fig") and name[3:].isdigit()]
+def figures(sources: Sources, names: Iterable[str]) -> Section:
+    """Return those of the experiments that are figures of the paper, drawn from the stored results."""
     blocks: list[Block] = []
-    for name in sorted(names, key=lambda name: int(name[3:])):
-        source = sources.get(name)
-        if source is None:
-            continue
-        blocks.append(Heading(source.experiment.title, name))
-        blocks += state(source, sources, name)
-        blocks += figures_of(sources, name)
+    for source in (sources.get(name) for name in names if name.startswith("fig")):
+        blocks.append(Heading(source.experiment.title, source.experiment.name))
+        blocks += state(source)
+        blocks += figures_of(source, sources.results)
     return Section("figures", "Figures", "The figures", blocks)
 
 
-def figures_of(sources: Sources, name: str) -> list[Block]:
+def figures_of(source: Source, results: Path) -> list[Block]:
     """Return an experiment's figures, or how to draw them once its points are there."""
-    source = sources.get(name)
-    if source is None:
-        return []
-    found = drawn(source, sources.results)
+    found = drawn(source, results)
     if not found and not source.n_missing:
-        return [Missing(f"the drawing of {name}", source.command)]
+        return [Missing(f"the drawing of {source.experiment.name}", source.command)]
     return found
 
 
@@ -92,20 +79,8 @@ def drawn(source: Source, results: Path) -> list[Block]:
 def figure_files(results: Path, source: Source) -> dict[str, Path]:
     """Return the PNG files of an experiment's artefact, for this data set and size, by variant.
 
-    Where the results folder holds none of them, the committed copies take their place.
-
-    Parameters
-    ----------
-    results : Path
-        The results folder.
-    source : Source
-        The experiment.
-
-    Returns
-    -------
-    dict of str to Path
-        By the part of the file's name after the experiment's, e.g. ``context``; ``""`` is the figure itself, which
-        comes first, then those of the protocols.
+    The variant is the part of the file's name after the experiment's, e.g. ``context``: ``""``, the figure itself,
+    comes first, then the protocols. Where the results folder holds none, the committed copies take their place.
     """
     name, ending = source.experiment.name, source.suffix
     others = tuple(other for other in SUFFIXES if other and other != ending and not ending.endswith(other))
@@ -143,14 +118,13 @@ _ALT = {
 
 
 def _figure(source: Source, path: Path, variant: str, results: Path) -> Picture:
-    uri, size = embedded_file(path)
     experiment = source.experiment
     said = f"Protocol `{variant}`: {SETTINGS[variant]}." if variant in SETTINGS else _VARIANTS.get(variant, "")
     shows = _ALT.get(experiment.artefact, "drawn from the stored results").format_map(
         {"x": experiment.options.get("x", ""), "family": experiment.options.get("family", "")}
     )
     alt = ", ".join(part for part in (experiment.title, variant, shows) if part)
-    return Picture(uri, alt, f"{said} {place(path, results)}, also as PDF.".strip(), size)
+    return picture_file(path, alt, f"{said} {place(path, results)}, also as PDF.".strip())
 
 
 def pictures(sources: Sources) -> Section:
@@ -163,8 +137,7 @@ def pictures(sources: Sources) -> Section:
     blocks: list[Block] = [Text(intro)]
     absent = missing_flows(sources)
     if absent:
-        words = ["fracbench report", *sources.settings, *(["--small"] if sources.small else [])]
-        blocks.append(Missing(f"{len(absent)} flows", " ".join(words)))
+        blocks.append(Missing(f"{len(absent)} flows", sources.typed("report")))
     shown = [] if absent else scenes(sources)
     top = shared_scale(shown)
     for scene in shown:
@@ -173,19 +146,14 @@ def pictures(sources: Sources) -> Section:
     return Section("pictures", "Flows", "Flows and their errors", blocks)
 
 
-def state(source: Source | None, sources: Sources, name: str) -> list[Block]:
+def state(source: Source) -> list[Block]:
     """Name the missing and the failed points of an experiment; nothing if it is complete."""
-    if source is None:
-        return [Missing(f"the experiment {name}, which has no file", sources.command(name))]
+    name = source.experiment.name
     blocks: list[Block] = []
     if source.n_missing:
         some = "all" if source.n_missing == source.n_points else str(source.n_missing)
         blocks.append(Missing(f"{some} of the {source.n_points} points of {name}", source.command))
     if source.unfinished:
-        first = source.unfinished[0]
-        blocks.append(
-            Text(
-                f"{len(source.unfinished)} points of {name} failed or diverged; the first: {first.error}", "answer"
-            )
-        )
+        bad = source.unfinished
+        blocks.append(Text(f"{len(bad)} points of {name} failed or diverged; the first: {bad[0].error}", "answer"))
     return blocks

@@ -26,34 +26,18 @@ _LEAD = (
 
 
 def write_report(sources: Sources) -> Path:
-    """Write the report from the stored points; missing ones are named, with their command.
+    """Write the report, ``runs/report.html``, from the stored points; missing ones are named, with their command.
 
-    The page shows Middlebury's frames, so it goes below ``runs``, which is never committed.
-
-    Parameters
-    ----------
-    sources : Sources
-        The experiments. The store, the figures and the flows for pictures are read. In small form two sequences
-        are shown in pictures.
-
-    Returns
-    -------
-    Path
-        The file, ``runs/report.html``; its name tells scenes from Middlebury, and small forms from whole ones.
-
-    Raises
-    ------
-    InputError
-        A store, a figure or data that cannot be read; a folder that cannot be written.
+    The page shows Middlebury's frames, so it goes below ``runs``, which is never committed. Its name tells scenes
+    from Middlebury, and small forms, which show two sequences in pictures, from whole ones.
     """
-    text = page(sources)
-    return write_text(text, ensure_folder(sources.results / RUNS) / f"report{sources.suffix}.html")
+    return write_text(page(sources), ensure_folder(sources.results / RUNS) / f"report{sources.suffix}.html")
 
 
 def page(sources: Sources) -> str:
     """Return the report as HTML; equal stores and figures give equal text."""
     names = experiments()
-    found = [source for name in names if (source := sources.get(name)) is not None]
+    found = [sources.get(name) for name in names]
     rows = background.all_rows(found)
     missing = sum(source.n_missing for source in found)
     facts = [
@@ -70,8 +54,7 @@ def experiments() -> list[str]:
     """Return the experiments of the page: tables, figures, studies, and those that only the claims read."""
     known = list_experiments()
     numbered = [name for kind in ("table", "fig") for name in known if name.removeprefix(kind).isdigit()]
-    wanted = dict.fromkeys([*numbered, "protocol_study", "solver_study", *claims.EXPERIMENTS])
-    return [name for name in wanted if name in known]
+    return [*dict.fromkeys([*numbered, "protocol_study", "solver_study", *claims.EXPERIMENTS])]
 
 
 def sections(sources: Sources, names: Sequence[str]) -> list[Section]:
@@ -80,12 +63,12 @@ def sections(sources: Sources, names: Sequence[str]) -> list[Section]:
         pages.verdicts(sources.judged, exhibits.answer_picture(sources)),
         pages.protocol_study(sources),
         pages.table2(sources),
-        exhibits.figures(sources),
+        exhibits.figures(sources, names),
         exhibits.pictures(sources),
         pages.solver_study(sources),
         beyond(sources),
         background.errata(),
         background.open_choices(),
         background.conventions(),
-        background.provenance(sources, names),
+        background.provenance([sources.get(name) for name in names]),
     ]

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from fracbench.harness.config.paths import asset
 from fracbench.harness.run.tidy import METRICS
 from fracbench.methods.registry import get_method
+from fracbench.report.claims.claims import Judged, count_verdicts
 from fracbench.report.claims.judging import FAILS, HOLDS, IN_PART, SETTINGS, UNKNOWN
 from fracbench.report.page.elements import Block, Cell, Column, Heading, Section, Table, Tallies, Tally, Text
 from fracbench.report.page.exhibits import document, figures_of, state
@@ -22,8 +22,6 @@ from fracbench.studies.solvers.solver_study import SOLVERS, printed_alphas, solv
 if TYPE_CHECKING:
     import pandas as pd
 
-    from fracbench.report.claims.claims import Judged
-
 #: Verdicts with the class that colours them, best first.
 VERDICTS = {HOLDS: "holds", IN_PART: "part", FAILS: "fails", UNKNOWN: "unknown"}
 
@@ -31,46 +29,25 @@ _UNITS = {"aae": "AAE, rad", "aepe": "AEPE, px", "sdae": "SDAE, rad"}
 
 
 def verdicts(judged: Sequence[Judged], pictures: Sequence[Block] = ()) -> Section:
-    """Return the claims of the paper, each with its verdict under each protocol.
-
-    Parameters
-    ----------
-    judged : sequence of Judged
-        From `fracbench.report.claims.claims.evaluate`.
-    pictures : sequence of Block, optional
-        The picture that sums them up.
-
-    Returns
-    -------
-    Section
-        Counts and the picture of the answer first, then every claim.
-    """
-    protocols = list(dict.fromkeys(verdict.protocol for item in judged for verdict in item.verdicts))
-    counts = {
-        name: Counter(verdict.verdict for item in judged for verdict in item.verdicts if verdict.protocol == name)
-        for name in protocols
-    }
+    """Return the verdicts: their counts and the picture that sums them up first, then every claim."""
+    counts = count_verdicts(judged)
     cards = [
-        Tally(
-            name,
-            SETTINGS.get(name, ""),
-            [(word, tone, counts[name][word]) for word, tone in VERDICTS.items()],
-        )
-        for name in protocols
+        Tally(name, SETTINGS.get(name, ""), [(word, tone, count[word]) for word, tone in VERDICTS.items()])
+        for name, count in counts.items()
     ]
     rows = [
-        [_claim_cell(i, item), *(_verdict_cell(item, name) for name in protocols)] for i, item in enumerate(judged)
+        [_claim_cell(i, item), *(_verdict_cell(item, name) for name in counts)] for i, item in enumerate(judged)
     ]
     table = Table(
         f"{len(judged)} claims of the paper and their verdicts by the stored results",
-        [Column("Claim"), *(Column(name) for name in protocols)],
+        [Column("Claim"), *(Column(name) for name in counts)],
         rows,
         cards=True,
-        filters=[word for word in VERDICTS if any(counts[name][word] for name in protocols)],
+        filters=[word for word in VERDICTS if any(count[word] for count in counts.values())],
     )
     lead = (
         f"{len(judged)} sentences of the paper that a computation can judge, each under "
-        f"{len(protocols)} ways to compute: every verdict follows from the stored results by the test "
+        f"{len(counts)} ways to compute: every verdict follows from the stored results by the test "
         "below the claim; none was typed."
     )
     blocks = [Text(lead), Tallies(cards), *pictures, table]
@@ -85,9 +62,8 @@ def _claim_cell(number: int, item: Judged) -> Cell:
 def _verdict_cell(item: Judged, protocol: str) -> Cell:
     for verdict in item.verdicts:
         if verdict.protocol == protocol:
-            order = list(VERDICTS).index(verdict.verdict) if verdict.verdict in VERDICTS else len(VERDICTS)
-            tone = VERDICTS.get(verdict.verdict, "unknown")
-            return Cell(verdict.verdict, verdict.evidence, tone, badge=True, sort=str(order))
+            word, order = verdict.verdict, list(VERDICTS).index(verdict.verdict)
+            return Cell(word, verdict.evidence, VERDICTS[word], badge=True, sort=str(order))
     return Cell("")
 
 
@@ -104,8 +80,8 @@ def published() -> pd.DataFrame:
 def table2(sources: Sources) -> Section:
     """Return Table 2 under each protocol, the paper's number beside ours, and how well they agree."""
     source = sources.get("table2")
-    blocks = state(source, sources, "table2")
-    if source is not None and source.rows:
+    blocks = state(source)
+    if source.rows:
         both = versus_published(source.table, published())
         names = list(both["protocol"].unique())
         parts = source.table.assign(part=source.table["protocol"])
@@ -113,7 +89,8 @@ def table2(sources: Sources) -> Section:
         blocks.append(Text(_TINTS))
         for name in names:
             blocks.append(Heading(f"Protocol {name}", f"table2-{name}"))
-            blocks.append(Text(f"{_sentence(SETTINGS.get(name, name))}"))
+            said = SETTINGS.get(name, name)
+            blocks.append(Text(f"{said[:1].upper()}{said[1:]}."))
             blocks.append(_wide(both[both["protocol"] == name], name))
     return Section("table2", "Table 2", "Table 2 beside the paper", blocks)
 
@@ -185,38 +162,32 @@ def _number(value: Any, digits: int) -> str:
     return f"{value:.{digits}f}" if value is not None and math.isfinite(value) else ""
 
 
-def _sentence(text: str) -> str:
-    return f"{text[:1].upper()}{text[1:]}."
-
-
 # -- why Table 2 is worse --------------------------------------------------------------------------
 
 
 def protocol_study(sources: Sources) -> Section:
     """Return the effect on Table 2 of each switch between the reference and the published protocol."""
-    name = "protocol_study"
-    source = sources.get(name)
-    blocks = state(source, sources, name)
-    if source is not None and source.rows:
+    source = sources.get("protocol_study")
+    blocks = state(source)
+    if source.rows:
         found = switch_table(source.table, published(), source.experiment.grids)
         blocks += [Text(sentence, "answer") for sentence in switch_sentences(found)]
         blocks.append(_overview(source.table, source.experiment.grids, "switch turned"))
-        blocks += figures_of(sources, name)
-    blocks += document("docs/protocol.md", "The whole story: docs/protocol.md")
+        blocks += figures_of(source, sources.results)
+    blocks.append(document("docs/protocol.md", "The whole story: docs/protocol.md"))
     return Section("why", "Why ten times worse", "Why Table 2 is ten times worse than a correct run", blocks)
 
 
 def solver_study(sources: Sources) -> Section:
     """Return the comparison of the printed sweep, Gauss-Seidel and the exact u-step."""
-    name = "solver_study"
-    source = sources.get(name)
-    blocks = state(source, sources, name)
-    if source is not None and source.rows:
+    source = sources.get("solver_study")
+    blocks = state(source)
+    if source.rows:
         pairs = source.table.drop_duplicates("region").set_index("region")[["theta", "lambda_sb"]]
         summary = solver_summary(source.table, pairs, printed_alphas())
         blocks += [Text(sentence, "answer") for sentence in solver_sentences(source.table, summary)]
         blocks.append(_solvers(summary))
-        blocks += figures_of(sources, name)
+        blocks += figures_of(source, sources.results)
     return Section("solvers", "Solvers", "Is the best α where the printed solver stops converging?", blocks)
 
 

@@ -28,7 +28,7 @@ Alpha by class is 1.0 % better.
 def sources(tmp_path, monkeypatch):
     made = Sources(tmp_path, SETTINGS, small=True)
     monkeypatch.setattr(made, "get", lambda name: pytest.fail("planned"))
-    monkeypatch.setattr(beyond, "EXPERIMENTS", ("adaptive_alpha", "alpha_by_structure", "unwritten"))
+    monkeypatch.setattr(beyond, "EXPERIMENTS", ("adaptive_alpha", "alpha_by_structure"))
     return made
 
 

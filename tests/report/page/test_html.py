@@ -31,9 +31,10 @@ from fracbench.report.page.elements import (
     Section,
     Table,
     demoted,
-    embedded,
-    embedded_file,
+    drawing,
     markdown_html,
+    photograph,
+    picture_file,
     render_page,
 )
 from fracbench.report.sources import Sources
@@ -223,7 +224,7 @@ def test_failed_points_are_said(tmp_path):
     source = Sources(tmp_path, SETTINGS, small=True).get("table2")
     fill(tmp_path, made_up(source, status="failed"))
     sources = Sources(tmp_path, SETTINGS, small=True)
-    (said,) = exhibits.state(sources.get("table2"), sources, "table2")
+    (said,) = exhibits.state(sources.get("table2"))
     assert said.markdown == f"{source.n_points} points of table2 failed or diverged; the first: made up"
 
 
@@ -345,7 +346,7 @@ def test_figures_of_another_size_or_data_set_are_left_alone(tmp_path, settings, 
 def test_a_damaged_figure_is_an_input_error(tmp_path):
     (tmp_path / "a.png").write_bytes(b"no picture")
     with pytest.raises(InputError, match=r"a\.png: cannot be read as a picture"):
-        embedded_file(tmp_path / "a.png")
+        picture_file(tmp_path / "a.png", "words", "caption")
 
 
 def test_a_flow_is_computed_once(tmp_path):
@@ -402,9 +403,9 @@ def test_a_sequence_is_shown_in_three_rows(results):
 
 def test_large_pictures_are_scaled_down():
     image = np.zeros((300, 600, 3), np.uint8)
-    assert embedded(image, width=200)[1] == (200, 100)
-    assert embedded(image)[1] == (600, 300)
-    assert embedded(image, lossy=True)[0].startswith("data:image/jpeg;base64,")
+    assert photograph(image, "", "").size == (480, 240)
+    assert drawing(image, "", "").size == (600, 300)
+    assert photograph(image, "", "").uri.startswith("data:image/jpeg;base64,")
 
 
 # -- prose, background ---------------------------------------------------------------------------
@@ -446,7 +447,8 @@ def test_provenance_comes_from_the_rows(tmp_path):
         "provenance": {**second.provenance, "cpu": "Zuse", "dirty": True},
     }
     fill(tmp_path, [row for row in made_up(source, **newer) if row.key != first.key])
-    section = background.provenance(Sources(tmp_path, SETTINGS, small=True), ["table2", "fig2"])
+    sources = Sources(tmp_path, SETTINGS, small=True)
+    section = background.provenance([sources.get("table2"), sources.get("fig2")])
     text, table = section.blocks
     n = len(rows)
     assert f"{n} stored, {2 * n} s of computing" in text.markdown
