@@ -32,7 +32,7 @@ _OPEN = (
     "The paper does not give everything that a computation needs. These are our choices.\n\n"
     "- **TV-L1**, the method that the paper compares with: neither code nor parameters beyond Table 2 are given. "
     "Ours has Chambolle's dual step in place of split Bregman, and shares pyramid, warping, thresholding and "
-    "stopping with the other methods, so that a difference between two columns is one of the regulariser.\n"
+    "stopping with the other methods: two columns of a table differ in the regulariser alone.\n"
     "- **Regions** A and B are boxes drawn on pictures. Ours are below; each figure on a region shows the spread "
     "over 25 shifted boxes.\n"
     "- **Gray** is floor(0.299 R + 0.587 G + 0.114 B), which is Middlebury's own conversion; both frames are "
@@ -95,11 +95,12 @@ def _table1() -> Details:
 _CONVENTIONS = (
     "- **Flow**: u1 to the right, u2 down, in pixels; frame 0 at (x, y) matches frame 1 at (x + u1, y + u2).\n"
     "- **Intensities** run from 0 to 255; λ depends on that scale (0.3 here is 76.5 for intensities 0 to 1).\n"
-    "- **Regions** are computed on alone, as in the paper, unless a context is named; errors count inside only.\n"
+    "- **Regions**: a flow is computed from the region alone, as in the paper, unless a context is named; errors "
+    "count inside the region only.\n"
     "- **Within 2 %** means an error at most 2 % above the smallest one.\n"
     "- **Agreement**: a number is within 5 % of the paper's if |ln(ours / paper)| is at most ln 1.05.\n"
-    "- At α = 0 exactly the operator is the identity; under `reflect` it costs constants nothing for α > 0, so "
-    "that curves may jump between 0 and the next α.\n"
+    "- **α = 0**: the operator is the identity. Under `reflect` constants cost nothing for any α > 0, so that "
+    "curves may jump between 0 and the next α.\n"
 )
 
 

@@ -100,12 +100,12 @@ def figure_files(results: Path, source: Source) -> dict[str, Path]:
 
 
 _VARIANTS = {
-    "context": "With pixels of image around each region and a reflecting boundary, which is not the paper's.",
+    "context": "With pixels of image around each region and the boundary `reflect`; the paper has neither.",
     "protocols": "Under each protocol.",
     "classes": "By class of pixels.",
     "scenes": "The scenes, under the colours of their classes.",
     "frames": "The first frames, under the colours of their classes.",
-    "orders": "The first frames, under the colours of their classes, and of the orders that the truth chose.",
+    "orders": "The first frames, under the colours of their classes and of the orders chosen by the true flow.",
 }
 _ALT = {
     "family": "curves of mean angular and mean end-point error against {x}, a line for each {family}",
@@ -130,9 +130,9 @@ def _figure(source: Source, path: Path, variant: str, results: Path) -> Picture:
 def pictures(sources: Sources) -> Section:
     """Return frames, flows and error maps of each sequence."""
     intro = (
-        "Each sequence as the methods see it, the true flow, and three flows with Table 2's λ and θ; below each "
-        "flow, its end-point errors. The flows of a sequence share one scale of colours, which reaches a little "
-        "beyond the largest true motion."
+        "Each sequence is shown in gray, as the methods see it, with the true flow and three flows computed with "
+        "Table 2's λ and θ. The end-point errors of a flow stand below it. The flows of a sequence share one "
+        "scale of colours, which reaches a little beyond the largest true motion."
     )
     blocks: list[Block] = [Text(intro)]
     absent = missing_flows(sources)

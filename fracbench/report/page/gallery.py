@@ -153,7 +153,7 @@ def legend(rim: float, top: float, unknown: bool) -> list[Picture]:
         drawing(
             color_wheel(96),
             "colour wheel: the colour of a motion is that of the disc in its direction from the centre",
-            f"Flow: direction from the centre is hue, speed is saturation; rim {rim:.3g} px.{black}",
+            f"Flow: hue is the direction from the centre, saturation the speed; the rim is {rim:.3g} px.{black}",
             disc=True,
         ),
         drawing(

@@ -46,7 +46,7 @@ def page(sources: Sources) -> str:
         ("Newest result", background.newest(rows) or "none yet"),
     ]
     if sources.small:
-        facts.append(("Form", "small: thinned grids, to try it out; verdicts mean nothing"))
+        facts.append(("Form", "small: thinned grids, for a trial; the verdicts mean nothing"))
     return render_page(_TITLE, _LEAD, facts, sections(sources, names))
 
 

@@ -46,9 +46,8 @@ def verdicts(judged: Sequence[Judged], pictures: Sequence[Block] = ()) -> Sectio
         filters=[word for word in VERDICTS if any(count[word] for count in counts.values())],
     )
     lead = (
-        f"{len(judged)} sentences of the paper that a computation can judge, each under "
-        f"{len(counts)} ways to compute: every verdict follows from the stored results by the test "
-        "below the claim; none was typed."
+        f"A computation can judge {len(judged)} sentences of the paper, each under up to {len(counts)} ways to "
+        "compute. Every verdict follows from the stored results by the test below the claim; none is typed."
     )
     blocks = [Text(lead), Tallies(cards), *pictures, table]
     return Section("verdicts", "Claims", "Which claims hold", blocks)
@@ -172,7 +171,7 @@ def protocol_study(sources: Sources) -> Section:
     if source.rows:
         found = switch_table(source.table, published(), source.experiment.grids)
         blocks += [Text(sentence, "answer") for sentence in switch_sentences(found)]
-        blocks.append(_overview(source.table, source.experiment.grids, "switch turned"))
+        blocks.append(_overview(source.table, source.experiment.grids, "switch changed"))
         blocks += figures_of(source, sources.results)
     blocks.append(document("docs/protocol.md", "The whole story: docs/protocol.md"))
     return Section("why", "Why ten times worse", "Why Table 2 is ten times worse than a correct run", blocks)

@@ -54,6 +54,6 @@ def test_what_was_run_is_told_from_its_files(sources, tmp_path):
     assert isinstance(heading, Heading) and heading.anchor == "beyond-adaptive_alpha"
     assert isinstance(said, Text) and said.markdown == "Legend of it.\n\nAlpha by class is 1.0 % better."
     assert isinstance(figure, Picture) and isinstance(orders, Picture)
-    assert "orders that the truth chose" in orders.caption
+    assert "orders chosen by the true flow" in orders.caption
     assert isinstance(folded, Details) and folded.blocks[0].markdown.startswith("#### AEPE\n\n| sequence")
     assert [block.what for block in others if isinstance(block, Missing)] == ["the experiment alpha_by_structure"]

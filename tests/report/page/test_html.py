@@ -415,7 +415,7 @@ def test_markdown_keeps_to_the_page():
     text = markdown_html(
         "a [link](other.md), [the web](https://arxiv.org/x) <i>x</i>\n\n| a | b |\n|---|---|\n| 1 | 2 |\n"
     )
-    assert 'href="other.md"' not in text and 'href="https://arxiv.org/x"' in text
+    assert "a link, " in text and "other.md" not in text and 'href="https://arxiv.org/x"' in text
     assert "&lt;i&gt;" in text
     assert text.index('<div class="scroll"') < text.index("<table") < text.index("</table>\n</div>")
 
