@@ -28,14 +28,9 @@ class MappedGradient(CosineGradient):
     alphas : sequence of float
         The orders ``a_k``, K of them.
     weights : ndarray, shape (K, H, W)
-        ``w_k(p) >= 0``.
+        ``w_k(p)``, finite and at least 0; else an `InputError`.
     dtype : dtype-like
         float32 or float64: the precision of all results.
-
-    Raises
-    ------
-    InputError
-        No order, weights of another number than the orders, or a weight that is negative or not finite.
     """
 
     weight: ClassVar[float] = ReflectGradient.weight
@@ -59,14 +54,12 @@ class MappedGradient(CosineGradient):
         return np.concatenate([order.apply(u) for order in self._orders])
 
     def adjoint(self, d: Array) -> Array:
-        total = np.zeros(self.shape, self.dtype)
-        for order, part in zip(self._orders, self._of_orders(d), strict=True):
-            total += order.adjoint(part)
-        return total
+        parts = zip(self._orders, self._of_orders(d), strict=True)
+        return np.sum([order.adjoint(part) for order, part in parts], axis=0)
 
     def eigenvalues(self) -> tuple[Float64Array, Float64Array]:
-        ly, lx = (sum(along) for along in zip(*(order.eigenvalues() for order in self._orders), strict=True))
-        return ly, lx
+        ly, lx = zip(*(order.eigenvalues() for order in self._orders), strict=True)
+        return sum(ly), sum(lx)
 
     def differentiate(self, u: Array, d: Array) -> None:
         if not AVAILABLE:

@@ -2,12 +2,9 @@
 
 An operator maps an image ``u`` of shape ``(H, W)`` to ``pairs`` of (x, y) derivatives of shape
 ``(pairs, 2, h, w)`` and stands for the regulariser ``R(u) = weight * sum_pairs sum_pixels |D_pair u|``, where
-`MappedGradient` (`fracbench.model.operators.alpha_map`) gives the norms weights that vary from pixel to pixel.
-Each knows its exact adjoint and the basis in which its normal operator
-``weight * sum_pairs D_pair^T D_pair`` is the sum of two diagonals, one an axis, so that the u-step is a
-division.
-
-`fracbench.model.operators.choose` lists the boundary rules.
+`MappedGradient` (`operators.alpha_map`) gives the norms weights that vary from pixel to pixel. Each knows its
+exact adjoint and the basis in which its normal operator ``weight * sum_pairs D_pair^T D_pair`` is the sum of two
+diagonals, one per axis, so that the u-step is a division. `operators.choose` lists the boundary rules.
 """
 
 from __future__ import annotations
@@ -87,20 +84,10 @@ class GradientOperator(ABC):
         d[...] = self.apply(u)
 
     def factor(self, theta: float, mu: float) -> System:
-        """Factorise the u-system ``1/theta + mu weight sum_pairs D^T D`` for `solve`.
+        """Factorise the u-system ``1/theta + mu weight sum_pairs D^T D`` for `solve`, with ``mu = lambda_sb``.
 
-        The default is ``1/theta + mu ly`` and ``mu lx`` of the eigenvalues ``ly``, ``lx``, whose outer sum is the
-        system in the operator's basis.
-
-        Parameters
-        ----------
-        theta, mu : float
-            Tightness and split Bregman parameter.
-
-        Returns
-        -------
-        tuple of ndarray
-            By default two, shapes (H,) and (W,), float64.
+        The default is the pair ``1/theta + mu ly`` and ``mu lx`` of the eigenvalues, shapes (H,) and (W,), whose
+        outer sum is the system in the operator's basis.
         """
         ly, lx = self.eigenvalues()
         return 1.0 / theta + mu * ly, mu * lx
@@ -108,7 +95,7 @@ class GradientOperator(ABC):
     def solve(self, v: Array, w: Array, theta: float, mu: float, system: System, u: Array) -> None:
         """Take the u-step of one component: minimise ``|u - v|^2 / (2 theta) + mu/2 weight |D u - w|^2``.
 
-        The default is the formula; operators override it by faster algorithms with the same result.
+        Operators override this formula by faster algorithms with the same result.
 
         Parameters
         ----------
@@ -118,10 +105,10 @@ class GradientOperator(ABC):
             ``d - b``, overwritten by the derivatives of the minimiser.
         theta, mu : float
             Tightness and split Bregman parameter.
-        system : tuple of ndarray
-            From `factor`, for the same `theta` and `mu`.
+        system
+            The factorisation by `factor` for the same `theta` and `mu`.
         u : ndarray, shape (H, W)
-            The minimiser, overwritten.
+            Output: the minimiser.
         """
         real = self.dtype.type
         rhs = v / real(theta) + real(mu * self.weight) * self.adjoint(w)

@@ -1,4 +1,4 @@
-"""The gradient operator that a boundary rule and an order ask for.
+"""Choice of the gradient operator by boundary rule and order.
 
 ==========  =========================================  =====================================  ============
 boundary    u outside the image                        derivatives (pairs)                    basis
@@ -21,9 +21,6 @@ from fracbench.model.operators.forward import ForwardDifferences
 from fracbench.model.operators.reflect import ReflectGradient
 from fracbench.model.operators.zero import ZeroGradient
 
-BOUNDARIES = ("zero", "reflect", "natural")
-ALPHA_RANGE = (0.0, 2.0)
-
 
 def make_operator(
     boundary: str, alpha: float, shape: tuple[int, int], dtype: np.dtype | type = np.float64, pad: int = 0
@@ -33,7 +30,7 @@ def make_operator(
     Parameters
     ----------
     boundary : {'zero', 'reflect', 'natural'}
-        Boundary rule, see the table above.
+        Boundary rule; see the table above.
     alpha : float
         Order in [0, 2].
     shape : tuple of int
@@ -43,19 +40,13 @@ def make_operator(
     pad : int, optional
         Padding in pixels; `zero` only.
 
-    Returns
-    -------
-    GradientOperator
-        The operator.
-
     Raises
     ------
     InputError
         Unknown boundary, `alpha` outside its range, or a combination that is not defined.
     """
-    low, high = ALPHA_RANGE
-    if not low <= alpha <= high:
-        raise InputError(f"`alpha` must lie in [{low:g}, {high:g}], got {alpha:g}")
+    if not 0.0 <= alpha <= 2.0:
+        raise InputError(f"`alpha` must lie in [0, 2], got {alpha:g}")
     if pad and boundary != "zero":
         raise InputError(f"`pad` belongs to boundary=zero, got pad={pad} with boundary={boundary}")
     if boundary == "zero":
@@ -66,4 +57,4 @@ def make_operator(
         if alpha != 1.0:
             raise InputError(f"boundary=natural is defined for alpha = 1, got alpha = {alpha:g}")
         return ForwardDifferences(alpha, shape, dtype)
-    raise unknown_name("boundary", boundary, BOUNDARIES)
+    raise unknown_name("boundary", boundary, ("zero", "reflect", "natural"))

@@ -14,10 +14,7 @@ from fracbench.model.operators.reflect import CosineGradient
 
 
 class ForwardDifferences(CosineGradient):
-    """Forward differences without flux through the border: the gradient of Algorithm 3 and of TV-L1.
-
-    Its u-step takes one transform: with x in the cosine basis, each column is a tridiagonal system of its own.
-    """
+    """Forward differences; a transform along x leaves a tridiagonal system per column for the u-step."""
 
     def apply(self, u: Array) -> Array:
         d = np.zeros(self.range_shape, self.dtype)
@@ -44,10 +41,9 @@ class ForwardDifferences(CosineGradient):
         height, width = self.shape
         (inverse,) = system
         right_hand_side(v, w, theta, mu, u)
-        plan, one = self._plan_x, self._one_x
-        parallel_for(lambda a, b: cosine(u, 1, a, b, one, plan, u), height)
+        parallel_for(lambda a, b: cosine(u, 1, a, b, *self._unscaled_x, u), height)
         parallel_for(lambda a, b: solve_columns(u, mu, inverse, a, b), width)
-        parallel_for(lambda a, b: cosine_back(u, 1, a, b, one, plan, u), height)
+        parallel_for(lambda a, b: cosine_back(u, 1, a, b, *self._unscaled_x, u), height)
         self.differentiate(u, w)
 
     def factor(self, theta: float, mu: float) -> System:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.fft
@@ -20,14 +20,14 @@ from fracbench.model.operators.base import GradientOperator, System
 class CosineGradient(GradientOperator):
     """The base of the operators whose normal operator the DCT-II diagonalises.
 
-    All methods use SciPy's transforms but for `solve` and `differentiate`, which take nearly all of the time: they
-    use the vectorised ones of `kernels.cosine` where these are available.
+    `solve` and `differentiate`, which take nearly all of the time, use the vectorised transforms of
+    `kernels.cosine` where these are available; the other methods use SciPy's.
     """
 
     def __init__(self, alpha: float, shape: tuple[int, int], dtype: np.dtype | type = np.float64) -> None:
         super().__init__(alpha, shape, dtype)
-        self._plan_y, self._plan_x = (line_plan(n, self.dtype) for n in shape)
-        self._one_y, self._one_x = (np.ones(n, self.dtype) for n in shape)
+        # The scale and the plan of a plain transform along each axis.
+        self._unscaled_y, self._unscaled_x = ((np.ones(n, self.dtype), line_plan(n, self.dtype)) for n in shape)
 
     def to_basis(self, u: Array) -> Array:
         return scipy.fft.dctn(u, type=2, norm="ortho", workers=1)
@@ -40,45 +40,33 @@ class CosineGradient(GradientOperator):
         return ly, lx
 
     def normal_matrices(self) -> tuple[Float64Array, Float64Array]:
-        ny, nx = (_from_cosine_basis(eigenvalues) for eigenvalues in self.eigenvalues())
+        ny, nx = (_idct(values[:, None] * _dct(np.eye(values.size), 0), 0) for values in self.eigenvalues())
         return ny, nx
 
     def divide(self, w: Array, system: System) -> None:
         """Solve the u-system whose right-hand side is given in two parts, each in the basis of one axis.
 
-        Parameters
-        ----------
-        w : ndarray, shape `range_shape`
-            ``w[0, 0]``, cosine coefficients along x, and ``w[0, 1]``, along y, sum up to the right-hand side;
-            overwritten by the cosine coefficients of u along x and those along y.
-        system
-            See `solve`.
+        The sum of ``w[0, 0]``, cosine coefficients along x, and ``w[0, 1]``, along y, is the right-hand side. The
+        cosine coefficients of u along x and along y overwrite them.
         """
         height, width = self.shape
-        plan_y, plan_x, one_y, one_x = self._plan_y, self._plan_x, self._one_y, self._one_x
+        to_y, to_x = self._unscaled_y, self._unscaled_x
         in_x, in_y = w[0]
         along_y, along_x = system
-        parallel_for(lambda a, b: cosine(in_x, 0, a, b, one_y, plan_y, in_x), width)
-        parallel_for(lambda a, b: cosine(in_y, 1, a, b, one_x, plan_x, in_y), height)
+        parallel_for(lambda a, b: cosine(in_x, 0, a, b, *to_y, in_x), width)
+        parallel_for(lambda a, b: cosine(in_y, 1, a, b, *to_x, in_y), height)
         parallel_for(lambda a, b: add_and_divide(in_x, in_y, along_y, along_x, a, b), height)
-        parallel_for(lambda a, b: cosine_back(in_x, 1, a, b, one_x, plan_x, in_y), height)
-        parallel_for(lambda a, b: cosine_back(in_x, 0, a, b, one_y, plan_y, in_x), width)
+        parallel_for(lambda a, b: cosine_back(in_x, 1, a, b, *to_x, in_y), height)
+        parallel_for(lambda a, b: cosine_back(in_x, 0, a, b, *to_y, in_x), width)
 
     def transform(self, u: Array, w: Array) -> None:
         """Write the cosine coefficients of `u` along x and along y to ``w[0, 0]`` and ``w[0, 1]``."""
-        plan_y, plan_x, one_y, one_x = self._plan_y, self._plan_x, self._one_y, self._one_x
-        parallel_for(lambda a, b: cosine(u, 1, a, b, one_x, plan_x, w[0, 0]), self.shape[0])
-        parallel_for(lambda a, b: cosine(u, 0, a, b, one_y, plan_y, w[0, 1]), self.shape[1])
+        parallel_for(lambda a, b: cosine(u, 1, a, b, *self._unscaled_x, w[0, 0]), self.shape[0])
+        parallel_for(lambda a, b: cosine(u, 0, a, b, *self._unscaled_y, w[0, 1]), self.shape[1])
 
     def back(self, w: Array, u: Array) -> None:
         """Write u from its cosine coefficients along x, ``w[0, 0]``."""
-        plan, one = self._plan_x, self._one_x
-        parallel_for(lambda a, b: cosine_back(w[0, 0], 1, a, b, one, plan, u), self.shape[0])
-
-
-def _from_cosine_basis(eigenvalues: Float64Array) -> Float64Array:
-    cosines = scipy.fft.dct(np.eye(eigenvalues.size), axis=0, norm="ortho")
-    return scipy.fft.idct(eigenvalues[:, None] * cosines, axis=0, norm="ortho")
+        parallel_for(lambda a, b: cosine_back(w[0, 0], 1, a, b, *self._unscaled_x, u), self.shape[0])
 
 
 def _sine_symbol(n: int) -> Float64Array:
@@ -89,9 +77,9 @@ class ReflectGradient(CosineGradient):
     r"""Left and right derivatives of u extended evenly about the edges.
 
     On the 2n-periodic even extension the Gruenwald-Letnikov sum is the Fourier multiplier
-    ``(1 - e^{-iw})^alpha = (2 sin(w/2))^alpha e^{i alpha (pi - w)/2}``. Of a cosine series it makes a cosine
-    and a sine series, ``D_- u = A - B`` and ``D_+ u = A + B``, so both derivatives cost one inverse
-    DCT and one inverse DST.
+    ``(1 - e^{-iw})^alpha = (2 sin(w/2))^alpha e^{i alpha (pi - w)/2}``. It turns a cosine series into a cosine
+    series A and a sine series B with ``D_- u = A - B`` and ``D_+ u = A + B``, so that both derivatives together
+    cost one inverse DCT and one inverse DST.
     """
 
     pairs = 2
@@ -137,33 +125,22 @@ class ReflectGradient(CosineGradient):
     def collect(self, v: Array, w: Array, theta: float, mu: float) -> None:
         """Write the right-hand side ``v / theta + mu weight D^T w`` in two parts, each in the basis of one axis.
 
-        Parameters
-        ----------
-        v, w, theta, mu
-            See `solve`; ``theta = inf`` leaves `v` out. ``w[0, 0]`` is overwritten by the cosine coefficients
-            along x of the terms of v and of the x-derivatives, ``w[0, 1]`` by those along y of the
-            y-derivatives' term.
+        ``w[0, 0]`` receives the cosine coefficients along x of the terms of v and of the x-derivatives, and
+        ``w[0, 1]`` those along y of the term of the y-derivatives; ``theta = inf`` leaves `v` out.
         """
         height, width = self.shape
-        step, one = self.dtype.type(mu * self.weight), self._one_x
+        step, (one, plan_x), (_, plan_y) = self.dtype.type(mu * self.weight), self._unscaled_x, self._unscaled_y
         direct = one[:0] if math.isinf(theta) else one / self.dtype.type(theta)
-        to_x = step * self._cos_x, step * self._sin_x, direct, self._plan_x, w[0, 0]
-        to_y = step * self._cos_y, step * self._sin_y, one[:0], self._plan_y, w[0, 1]
+        to_x = step * self._cos_x, step * self._sin_x, direct, plan_x, w[0, 0]
+        to_y = step * self._cos_y, step * self._sin_y, one[:0], plan_y, w[0, 1]
         parallel_for(lambda a, b: derivatives_adjoint(w, v, 1, a, b, *to_x), height)
         parallel_for(lambda a, b: derivatives_adjoint(w, v, 0, a, b, *to_y), width)
 
     def spread(self, cosines: Array, d: Array) -> None:
-        """Write u's derivatives.
-
-        Parameters
-        ----------
-        cosines : ndarray, shape (2, H, W)
-            u's cosine coefficients along x and along y; may be ``d[0]``.
-        d : ndarray, shape `range_shape`
-            The derivatives, overwritten.
-        """
+        """Write u's derivatives to `d` from its `cosines` along x and along y, (2, H, W); they may be ``d[0]``."""
         height, width = self.shape
-        to_x, to_y = (self._cos_x, self._sin_x, self._plan_x), (self._cos_y, self._sin_y, self._plan_y)
+        to_x = self._cos_x, self._sin_x, self._unscaled_x[1]
+        to_y = self._cos_y, self._sin_y, self._unscaled_y[1]
         parallel_for(lambda a, b: derivatives(cosines[0], 1, a, b, *to_x, d), height)
         parallel_for(lambda a, b: derivatives(cosines[1], 0, a, b, *to_y, d), width)
 
@@ -181,11 +158,11 @@ class ReflectGradient(CosineGradient):
         return coefficients
 
 
-def _dct(x: Array, axis: int) -> Array:
+def _dct(x: Array, axis: int) -> Any:
     return scipy.fft.dct(x, type=2, norm="ortho", axis=axis, workers=1)
 
 
-def _idct(x: Array, axis: int) -> Array:
+def _idct(x: Array, axis: int) -> Any:
     return scipy.fft.idct(x, type=2, norm="ortho", axis=axis, workers=1)
 
 

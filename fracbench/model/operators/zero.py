@@ -19,46 +19,35 @@ from fracbench.model.operators.base import GradientOperator, System
 
 #: On shorter lines a product with the matrix is faster than a sum of exponentials.
 LEAST_SUMMED = 64
-#: Rows of a product that threads share.
+#: Rows of a block of a product; threads share the blocks.
 BLOCK_ROWS = 240
 
 
 def gl_weights(alpha: float, n: int) -> Float64Array:
-    """Return the first `n` Gruenwald-Letnikov weights, ``(-1)^k binom(alpha, k)``, shape (n,), float64.
+    """Return the first `n` Gruenwald-Letnikov weights of the order `alpha`, ``(-1)^k binom(alpha, k)``.
 
     The recurrence of section 3.2: ``w_0 = 1``, ``w_k = (1 - (alpha + 1) / k) w_{k-1}``.
     """
     factors = np.ones(n)
-    k = np.arange(1, n)
-    factors[1:] = 1.0 - (alpha + 1.0) / k
+    factors[1:] = 1.0 - (alpha + 1.0) / np.arange(1, n)
     return np.cumprod(factors, dtype=np.float64)
 
 
 def left_derivative_matrix(alpha: float, n: int, pad: int = 0) -> Float64Array:
-    """Return the left derivative of the order `alpha` on `n` samples, u being 0 outside them, as a dense matrix.
+    """Return the left derivative of order `alpha` on `n` samples as a dense matrix, (n + pad, n).
 
-    Parameters
-    ----------
-    alpha, n
-        Order of the derivative, number of samples.
-    pad : int, optional
-        Points after the last sample at which the derivative is evaluated as well (before the first it is 0).
-
-    Returns
-    -------
-    ndarray, shape (n + pad, n), float64
-        Lower-triangular Toeplitz; its transpose is the right derivative.
+    The matrix is lower-triangular Toeplitz; its transpose is the right derivative. The signal is 0 outside the
+    samples, and `pad` more rows evaluate the derivative after the last one (before the first one it is 0).
     """
-    first_row = np.zeros(n)
-    first_row[0] = 1.0
-    return np.asarray(scipy.linalg.toeplitz(gl_weights(alpha, n + pad), first_row))
+    return np.asarray(scipy.linalg.toeplitz(gl_weights(alpha, n + pad), np.zeros(n)))
 
 
 class LeftDerivative:
     """The left derivative along one axis, `left_derivative_matrix`, in the faster of two forms.
 
     `memory` holds the weights as a sum of exponentials: exact for a whole order, else in single precision on long
-    lines. Without it `matrices` are the matrix and its transpose, with which products from the right are faster.
+    lines. Without it, `matrices` holds the matrix and its transpose: a product from the right is faster with the
+    transpose.
     """
 
     def __init__(self, alpha: float, n: int, pad: int, dtype: np.dtype | type) -> None:
@@ -68,24 +57,18 @@ class LeftDerivative:
             matrix = left_derivative_matrix(alpha, n, pad).astype(dtype)
             self.matrices = matrix, np.ascontiguousarray(matrix.T)
 
-    def apply(self, u: Array, axis: int, out: Array) -> None:
-        """Write ``sum_k w_k u(j - k)`` along `axis` of `u` (0: y, 1: x); without padding `out` is C-contiguous."""
-        self._times(u, axis, False, out)
+    def apply(self, x: Array, axis: int, out: Array, *, transposed: bool = False) -> None:
+        """Write ``sum_k w_k x(j - k)`` along `axis` (0: y, 1: x), or the transpose, ``sum_k w_k x(j + k)``.
 
-    def adjoint(self, d: Array, axis: int, out: Array) -> None:
-        """Write the right derivative, ``sum_k w_k d(j + k)``, along `axis` of `d`; `out` as for `apply`."""
-        self._times(d, axis, True, out)
-
-    def _times(self, x: Array, axis: int, transposed: bool, out: Array) -> None:
+        Without padding `out` is C-contiguous.
+        """
         weights = self.memory
         if weights is not None:
             parallel_for(lambda a, b: convolve(x, axis, a, b, weights, transposed, out), x.shape[1 - axis])
             return
         matrix, back = self.matrices[::-1] if transposed else self.matrices
-        if axis == 1:
-            np.matmul(x, back, out=out)
-        else:
-            np.matmul(matrix, x, out=out)
+        factors = (x, back) if axis == 1 else (matrix, x)
+        np.matmul(*factors, out=out)
 
 
 @lru_cache(maxsize=256)
@@ -111,10 +94,7 @@ def _weigh_right_hand_side(v: Array, theta: float, mu: float, y: Array, x: Array
 def _solve_small(
     v: Array, w: Array, theta: float, mu: float, matrices: tuple[Array, ...], system: System, u: Array
 ) -> None:
-    """Take the u-step by full products, without padding; see `ZeroGradient.solve`.
-
-    For small matrices, calls from Python would take longer than the products.
-    """
+    """Take the u-step by full products, without padding: calls from Python would take longer than the products."""
     ty, ty_back, tx, tx_back, qy, qy_back, qx, qx_back = matrices
     along_y, along_x = system
     y = w[0, 0]  # free once its adjoint is taken
@@ -133,12 +113,7 @@ def _solve_small(
 class ZeroGradient(GradientOperator):
     """Left derivatives of u extended by 0: the operator of Algorithm 4.
 
-    Parameters
-    ----------
-    alpha, shape, dtype
-        See `GradientOperator`.
-    pad : int, optional
-        Padding in pixels, on which u = 0 but its derivatives count (section 3.2).
+    On `pad` pixels of padding u is 0, but its derivatives count (section 3.2).
     """
 
     def __init__(
@@ -151,8 +126,8 @@ class ZeroGradient(GradientOperator):
         self._along = [LeftDerivative(self.alpha, n, pad, self.dtype) for n in shape]
         # Eliminate along the longer axis and diagonalise the other, as dense products are slower.
         axes = (1, 0) if width >= height else (0, 1)
-        memories = [(axis, memory) for axis in axes if (memory := self._along[axis].memory) is not None]
-        self._lines = memories[0] if memories else None
+        memories = ((axis, memory) for axis in axes if (memory := self._along[axis].memory) is not None)
+        self._lines = next(memories, None)
 
     def apply(self, u: Array) -> Array:
         d = np.empty(self.range_shape, self.dtype)
@@ -177,8 +152,8 @@ class ZeroGradient(GradientOperator):
         """Write the adjoints of the derivatives along x and y to `x` and `y`; `y` may be ``d[0, 0]``."""
         height, width = self.shape
         along_y, along_x = self._along
-        along_x.adjoint(d[0, 0, :height], 1, x)
-        along_y.adjoint(d[0, 1, :, :width], 0, y)
+        along_x.apply(d[0, 0, :height], 1, x, transposed=True)
+        along_y.apply(d[0, 1, :, :width], 0, y, transposed=True)
 
     def to_basis(self, u: Array) -> Array:
         return self._basis(0)[2] @ u @ self._basis(1)[1]
@@ -202,8 +177,7 @@ class ZeroGradient(GradientOperator):
 
     def solve(self, v: Array, w: Array, theta: float, mu: float, system: System, u: Array) -> None:
         if self._lines is not None:
-            axis, weights = self._lines
-            self._solve_by_lines(v, w, theta, mu, axis, weights.ratios, LineGains(*system), u)
+            self._solve_by_lines(v, w, theta, mu, self._lines, LineGains(*system), u)
         elif self.pad:
             super().solve(v, w, theta, mu, system, u)
         else:
@@ -212,8 +186,16 @@ class ZeroGradient(GradientOperator):
             _solve_small(v, w, theta, mu, (*matrices, *bases), system, u)
 
     def _solve_by_lines(
-        self, v: Array, w: Array, theta: float, mu: float, axis: int, ratios: Array, gains: LineGains, u: Array
+        self,
+        v: Array,
+        w: Array,
+        theta: float,
+        mu: float,
+        lines: tuple[int, ExponentialSum],
+        gains: LineGains,
+        u: Array,
     ) -> None:
+        axis, weights = lines
         _, basis, transpose = self._basis(1 - axis)
         y = w[0, 0]  # free once its adjoint is taken
         self._adjoints(w, u, y)
@@ -222,7 +204,7 @@ class ZeroGradient(GradientOperator):
             _product(transpose, u, y)
         else:
             _product(u, basis, y)
-        parallel_for(lambda a, b: solve_lines(y, axis, a, b, ratios, gains), self.shape[1 - axis])
+        parallel_for(lambda a, b: solve_lines(y, axis, a, b, weights.ratios, gains), self.shape[1 - axis])
         if axis == 1:
             _product(basis, y, u)
         else:
@@ -230,8 +212,7 @@ class ZeroGradient(GradientOperator):
         self.differentiate(u, w)
 
     def normal_matrices(self) -> tuple[Float64Array, Float64Array]:
-        ty = left_derivative_matrix(self.alpha, self.shape[0], self.pad)
-        tx = left_derivative_matrix(self.alpha, self.shape[1], self.pad)
+        ty, tx = (left_derivative_matrix(self.alpha, n, self.pad) for n in self.shape)
         return ty.T @ ty, tx.T @ tx
 
 

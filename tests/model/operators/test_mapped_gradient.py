@@ -25,7 +25,7 @@ def rng():
 
 @pytest.fixture
 def weights(rng):
-    """One order a pixel, but for a row where they are blended."""
+    """One order per pixel, except in a row of blended orders."""
     chosen = rng.integers(len(ALPHAS), size=SHAPE)
     planes = np.stack([chosen == k for k in range(len(ALPHAS))]).astype(float)
     planes[:, 2] = rng.dirichlet(np.ones(len(ALPHAS)), SHAPE[1]).T
