@@ -1,6 +1,4 @@
-"""The parameters of the methods: one typed, validated record, with the meaning of each."""
-
-from __future__ import annotations
+"""The parameters of the methods: one typed, validated record, with the meaning and the range of each."""
 
 import dataclasses
 import math
@@ -9,7 +7,7 @@ import typing
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 from fracbench.errors import InputError, unknown_name
 
@@ -40,19 +38,20 @@ class ParamInfo:
     open_low: bool = False
 
 
-def _param(default: Any, text: str, **info: Any) -> Any:
-    return dataclasses.field(default=default, metadata={"info": ParamInfo(text, **info)})
+def _param(default: Any, text: str, symbol: str = "", paper_range: str = "", **bounds: Any) -> Any:
+    info = ParamInfo(text, symbol, paper_range, **bounds)
+    return dataclasses.field(default=default, metadata={"info": info})
 
 
 @dataclass(frozen=True, kw_only=True)
 class FlowParams:
     """Parameters of a flow computation; the defaults are the preset `recommended`.
 
-    Those of `alpha_flat`, `alpha_edge`, `alpha_corner` and `alpha_texture` are the setting with the least mean
-    AEPE on Middlebury's eight sequences among those of ``experiments/adaptive_alpha.yaml``, by a small margin
+    The defaults of `alpha_flat`, `alpha_edge`, `alpha_corner` and `alpha_texture` are the setting of
+    ``experiments/adaptive_alpha.yaml`` with the least mean AEPE on Middlebury's eight sequences, by a small margin
     over one alpha for all (docs/beyond.md).
 
-    Each field's meaning, symbol and range stand in its metadata (`FlowParams.info`); ``fracbench table 1``
+    The metadata of each field hold its meaning, symbol and range (`FlowParams.info`); ``fracbench table 1``
     prints them. In configurations and on the command line `lambda_` is called ``lambda``.
 
     Raises
@@ -61,119 +60,70 @@ class FlowParams:
         A value of the wrong type or outside its range.
     """
 
-    lambda_: float = _param(
-        0.3, "data attachment weight, for intensities in 0..255", symbol=r"\lambda", paper_range="[0.1, 1]",
-        low=0.0, open_low=True,
-    )  # fmt: skip
-    theta: float = _param(
-        0.3, "tightness of the coupling of u and v", symbol=r"\theta", paper_range="[0.1, 1]",
-        low=0.0, open_low=True,
-    )  # fmt: skip
-    lambda_sb: float = _param(
-        10.0, "split Bregman penalty", symbol=r"\lambda_{SB}", paper_range="[1, 10]", low=0.0, open_low=True
-    )
-    alpha: float = _param(
-        1.1, "order of the fractional gradient", symbol=r"\alpha", paper_range="[0, 2]", low=0.0, high=2.0
-    )
-    epsilon: float = _param(
-        0.01, "stopping threshold on the change of the flow, pixels", symbol=r"\epsilon", paper_range="0.01",
-        low=0.0,
-    )  # fmt: skip
-    eta: float = _param(
-        0.5, "downsampling factor of the pyramid", symbol=r"\eta", paper_range="0.5", low=0.1, high=0.95
-    )
-    n_scales: int | None = _param(
-        None, "number of scales; auto: as many as the image allows", symbol=r"N_{scales}",
-        paper_range="[3, 5] (Table 2: 4 to 6)", low=1,
-    )  # fmt: skip
-    n_warps: int = _param(
-        4, "number of warps (linearisations) a scale", symbol=r"N_{warps}", paper_range="[3, 5]", low=1
-    )
-    max_iter: int = _param(
-        6, "largest number of iterations a warp", symbol=r"N_{maxitr}", paper_range="not given", low=1
-    )
-    presmoothing: float = _param(
-        0.6, "standard deviation of the Gaussian on both frames, pixels", symbol=r"\sigma_0",
-        paper_range="0.6", low=0.0, high=100.0,
-    )  # fmt: skip
+    # fmt: off
+    lambda_: float = _param(0.3, "data attachment weight, for intensities in 0..255", r"\lambda", "[0.1, 1]",
+                            low=0.0, open_low=True)
+    theta: float = _param(0.3, "tightness of the coupling of u and v", r"\theta", "[0.1, 1]",
+                          low=0.0, open_low=True)
+    lambda_sb: float = _param(10.0, "split Bregman penalty", r"\lambda_{SB}", "[1, 10]", low=0.0, open_low=True)
+    alpha: float = _param(1.1, "order of the fractional gradient", r"\alpha", "[0, 2]", low=0.0, high=2.0)
+    epsilon: float = _param(0.01, "stopping threshold on the change of the flow, pixels", r"\epsilon", "0.01",
+                            low=0.0)
+    eta: float = _param(0.5, "downsampling factor of the pyramid", r"\eta", "0.5", low=0.1, high=0.95)
+    n_scales: int | None = _param(None, "number of scales; auto: as many as the image allows", r"N_{scales}",
+                                  "[3, 5] (Table 2: 4 to 6)", low=1)
+    n_warps: int = _param(4, "number of warps (linearisations) per scale", r"N_{warps}", "[3, 5]", low=1)
+    max_iter: int = _param(6, "largest number of iterations per warp", r"N_{maxitr}", "not given", low=1)
+    presmoothing: float = _param(0.6, "standard deviation of the Gaussian on both frames, pixels",
+                                 r"\sigma_0", "0.6", low=0.0, high=100.0)
     boundary: Literal["zero", "reflect"] = _param(
-        "reflect", "what u is outside the image", paper_range="zero (Dirichlet)"
-    )
-    pad: int = _param(
-        0,
-        "padding of boundary=zero, pixels",
-        paper_range="'padding around the image', not given",
-        low=0,
-        high=1000,
-    )
+        "reflect", "u outside the image: 0, or the mirror image of u inside", paper_range="zero (Dirichlet)")
+    pad: int = _param(0, "padding around the image under boundary=zero, pixels",
+                      paper_range="'padding around the image', not given", low=0, high=1000)
     u_solver: Literal["exact", "gauss_seidel", "jacobi"] = _param(
-        "exact", "solver of the u-step", paper_range="fixed-point sweep"
-    )
+        "exact", "solver of the u-step", paper_range="fixed-point sweep")
     inner: Literal["warm", "cold"] = _param(
-        "warm", "split Bregman state: kept between calls, or started anew", paper_range="cold"
-    )
+        "warm", "start of the split Bregman iteration: the state of the last call, or zeros", paper_range="cold")
     coupling: Literal["multiplier", "penalty"] = _param(
-        "multiplier", "how v- and u-step are brought together: ADMM, or the paper's penalty alone",
-        paper_range="penalty",
-    )  # fmt: skip
-    coupling_step: float = _param(
-        3.0, "inverse penalty of coupling=multiplier", paper_range="(theta)", low=0.0, open_low=True
-    )
-    relaxation: float = _param(
-        1.7, "over-relaxation of coupling=multiplier; 1: none", paper_range="(1)", low=1.0, high=1.9
-    )
-    tol: float = _param(
-        0.01,
-        "stopping threshold of the cold inner loop, pixels",
-        symbol="TOL",
-        paper_range="not given",
-        low=0.0,
-    )
+        "multiplier", "coupling of v- and u-step: the multiplier of ADMM, or the paper's penalty alone",
+        paper_range="penalty")
+    coupling_step: float = _param(3.0, "inverse penalty of coupling=multiplier", paper_range="(theta)",
+                                  low=0.0, open_low=True)
+    relaxation: float = _param(1.7, "over-relaxation of coupling=multiplier; 1: none", paper_range="(1)",
+                               low=1.0, high=1.9)
+    tol: float = _param(0.01, "stopping threshold of the cold inner loop, pixels", "TOL", "not given", low=0.0)
     max_inner: int = _param(30, "largest number of cold inner iterations", paper_range="not given", low=1)
     tau: float = _param(0.25, "time step of the dual method", low=0.0, high=0.25, open_low=True)
     upsample_gain: float | None = _param(
         None, "factor on the flow carried to the next scale; none: the ratio of the sizes",
-        paper_range="1/eta, sampled at x/eta", low=0.0, high=10.0,
-    )  # fmt: skip
-    relinearise: bool = _param(
-        True, "renew u0 = u at each warp; false: u0 = 0 throughout, as printed", paper_range="not stated"
-    )
-    dual_restart: bool = _param(
-        False, "start dual or Bregman variables anew at each warp", paper_range="not stated"
-    )
+        paper_range="1/eta, sampled at x/eta", low=0.0, high=10.0)
+    relinearise: bool = _param(True, "linearise at u0 = u in each warp; false: at u0 = 0 throughout, as printed",
+                               paper_range="not stated")
+    dual_restart: bool = _param(False, "reset dual or Bregman variables at each warp", paper_range="not stated")
     gradient_scale: float = _param(1.0, "factor on the image gradient", low=0.0, open_low=True)
-    epsilon_squared: bool = _param(
-        True,
-        "compare the mean squared change with epsilon^2; false: with epsilon",
-        paper_range="both are printed",
-    )
+    epsilon_squared: bool = _param(True, "compare the mean squared change with epsilon^2; false: with epsilon",
+                                   paper_range="both are printed")
     dtype: Literal["float32", "float64"] = _param("float32", "precision of the computation")
     alpha_flat: float = _param(1.0, "order where frame 0 is flat", low=0.0, high=2.0)
-    alpha_edge: float = _param(1.1, "order where frame 0 is an edge", low=0.0, high=2.0)
-    alpha_corner: float = _param(1.1, "order where frame 0 is a corner", low=0.0, high=2.0)
+    alpha_edge: float = _param(1.1, "order where frame 0 has an edge", low=0.0, high=2.0)
+    alpha_corner: float = _param(1.1, "order where frame 0 has a corner", low=0.0, high=2.0)
     alpha_texture: float = _param(1.2, "order where frame 0 is textured", low=0.0, high=2.0)
-    lambda_gradient: float = _param(
-        0.0, "data attachment weight of each derivative of the frames; 0: the frames alone", low=0.0
-    )
+    lambda_gradient: float = _param(0.0, "data attachment weight of each image derivative; 0: brightness alone",
+                                    low=0.0)
     derivatives: Literal["frame1", "both"] = _param(
-        "frame1", "image derivatives: central ones of frame 1, or the mean of five-point ones of both frames"
-    )
+        "frame1", "image derivatives: central ones of frame 1, or the mean of five-point ones of both frames")
     edge_decay: float = _param(
-        0.0, "k of the weights exp(-k g^b) on the regulariser, g the gradient of frame 0; 0: none", low=0.0
-    )
-    edge_power: float = _param(0.5, "b of the weights exp(-k g^b)", low=0.0, high=4.0, open_low=True)
+        0.0, "k in the weights exp(-k g^b) of the regulariser, g = |gradient of frame 0|; 0: none", low=0.0)
+    edge_power: float = _param(0.5, "b in the weights exp(-k g^b)", low=0.0, high=4.0, open_low=True)
     median_radius: int = _param(
-        0, "radius of the median filter of the flow after each warp, pixels; 0: none", low=0, high=10
-    )
+        0, "radius of the median filter of the flow after each warp, pixels; 0: none", low=0, high=10)
     weighted_radius: int = _param(
-        0, "radius of the weighted median near motion edges after each warp, pixels; 0: none", low=0, high=20
-    )
-    texture: float = _param(
-        0.0, "share of the frames' structure that the data term does without; 0: none", low=0.0, high=1.0
-    )
+        0, "radius of the weighted median near motion edges after each warp, pixels; 0: none", low=0, high=20)
+    texture: float = _param(0.0, "share of the frames' structure that the data term leaves out; 0: none",
+                            low=0.0, high=1.0)
     occlusion: Literal["median", "none", "both"] = _param(
-        "median", "what counts less where it is hidden in a frame: neighbours in the weighted median, or data too"
-    )
+        "median", "weighting by visibility: of neighbours in the weighted median, or of these and of the data")
+    # fmt: on
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
@@ -190,10 +140,9 @@ class FlowParams:
     @classmethod
     def info(cls, name: str) -> ParamInfo:
         """Return the meaning and the range of a parameter, by either of its spellings."""
-        field = cls.__dataclass_fields__[_field_name(name)]
-        return typing.cast(ParamInfo, field.metadata["info"])
+        return typing.cast(ParamInfo, cls.__dataclass_fields__[_field_name(name)].metadata["info"])
 
-    def replace(self, changes: Mapping[str, Any], where: str = "") -> FlowParams:
+    def replace(self, changes: Mapping[str, Any], where: str = "") -> Self:
         """Return a copy with some values changed.
 
         Parameters
@@ -201,21 +150,15 @@ class FlowParams:
         changes : mapping
             Values by name (either spelling); strings are converted to the parameter's type.
         where : str, optional
-            The place the values come from, for error messages.
-
-        Returns
-        -------
-        FlowParams
-            A new record.
+            The source of the values, for error messages.
 
         Raises
         ------
         InputError
             An unknown name (the nearest is offered), a wrong type, a value outside its range.
         """
-        known = {f.name for f in dataclasses.fields(self)}
         for name in changes:
-            if _field_name(name) not in known:
+            if _field_name(name) not in self.__dataclass_fields__:
                 raise unknown_name("parameter", name, self.names(), where)
         return dataclasses.replace(self, **{_field_name(name): value for name, value in changes.items()})
 
@@ -233,15 +176,10 @@ def _field_name(name: str) -> str:
     return "lambda_" if name == "lambda" else name
 
 
-@lru_cache(maxsize=1)
-def _hints() -> dict[str, Any]:
-    return typing.get_type_hints(FlowParams)
-
-
 @lru_cache(maxsize=4096, typed=True)
 def _accepted(name: str, value: Any) -> Any:
-    """Return the value of a field in its type; the error states the allowed values."""
-    converted = _coerce(name, _hints()[name], value)
+    """Return the value of a field in its type, or raise an error that states the allowed values."""
+    converted = _coerce(name, FlowParams.__dataclass_fields__[name].type, value)
     _check_range(name, FlowParams.info(name), converted)
     return converted
 
@@ -250,7 +188,6 @@ _WORDS = {bool: "true or false", int: "a whole number", float: "a number"}
 
 
 def _coerce(name: str, hint: Any, value: Any) -> Any:
-    """Convert `value` (possibly a string) to the annotated type; the error states the allowed values."""
     options = typing.get_args(hint)
     if isinstance(hint, types.UnionType):
         if value is None or (isinstance(value, str) and value.lower() in ("none", "null", "auto")):
@@ -261,38 +198,29 @@ def _coerce(name: str, hint: Any, value: Any) -> Any:
             raise unknown_name(f"value of `{public_name(name)}`", str(value), options)
         return value
     try:
-        converted = _convert(hint, value)
-    except (TypeError, ValueError, OverflowError):
-        message = f"`{public_name(name)}` must be {_WORDS[hint]}, got {value!r}"
-        raise InputError(message) from None
-    return converted
+        return _convert(hint, value)
+    except (KeyError, TypeError, ValueError, OverflowError):
+        raise InputError(f"`{public_name(name)}` must be {_WORDS[hint]}, got {value!r}") from None
 
 
 def _convert(kind: type, value: Any) -> Any:
-    if kind is bool:
-        if isinstance(value, str):
-            return {"true": True, "false": False}[value.lower()] if value.lower() in ("true", "false") else int("")
-        if not isinstance(value, bool):
-            raise TypeError
-        return value
-    if isinstance(value, bool):
+    if kind is bool and isinstance(value, str):
+        return {"true": True, "false": False}[value.lower()]
+    if isinstance(value, bool) != (kind is bool):
         raise TypeError
+    if kind is bool:
+        return value
     number = float(value)
-    if not math.isfinite(number):
+    if not math.isfinite(number) or (kind is int and number != int(number)):
         raise ValueError
-    if kind is int:
-        if number != int(number):
-            raise ValueError
-        return int(number)
-    return number
+    return kind(number)
 
 
 def _check_range(name: str, info: ParamInfo, value: Any) -> None:
     if value is None or isinstance(value, str | bool):
         return
     if value < info.low or value > info.high or (info.open_low and value == info.low):
+        allowed = f"in {'(' if info.open_low else '['}{info.low:g}, {info.high:g}]"
         if math.isinf(info.high):
             allowed = f"{'greater than' if info.open_low else 'at least'} {info.low:g}"
-        else:
-            allowed = f"in {'(' if info.open_low else '['}{info.low:g}, {info.high:g}]"
         raise InputError(f"`{public_name(name)}` must be {allowed}, got {value:g}")
