@@ -1,4 +1,4 @@
-"""The coarse-to-fine driver (Algorithm 1), which all methods share."""
+"""The coarse-to-fine driver (Algorithm 1) of all methods."""
 
 from __future__ import annotations
 
@@ -34,15 +34,13 @@ class FlowResult:
         ``flow[0]`` = u1, to the right, ``flow[1]`` = u2, down, pixels: frame0(x, y) matches
         frame1(x + u1, y + u2).
     method : str
-        Name of the method.
     params : FlowParams
-        Parameters used.
     levels : list of LevelReport
-        One a scale, from coarsest to finest; empty for peers, which do not report them.
+        One per scale, from coarsest to finest; empty for peers, which do not report them.
     seconds : dict
         Wall-clock seconds by phase.
     notices : list of str
-        Notices for the user, e.g. that there are fewer scales than asked for.
+        Notices for the user, e.g. that the image allows fewer scales than `n_scales`.
     """
 
     flow: Array
@@ -63,11 +61,11 @@ class FlowResult:
 
         ``"not told"`` for peers, which do not report their iterations.
         """
-        if not self.levels and np.isfinite(self.flow).all():
-            return "not told"
         reasons = {reason for level in self.levels for reason in level.stop}
         if not np.isfinite(self.flow).all() or "diverged" in reasons:
             return "diverged"
+        if not self.levels:
+            return "not told"
         return "max_iter" if "max_iter" in reasons else "converged"
 
 
@@ -90,24 +88,14 @@ def coarse_to_fine(
     frame0, frame1 : ndarray, shape (H, W)
         Gray frames of any scale of intensity; never changed.
     params : FlowParams
-        Parameters.
-    make_regularizer : callable
-        Returns the u-step of a scale, given frame 0 at that scale.
-    make_v_step : callable, optional
-        Returns the v-step of a scale; the paper's by default.
-    make_residual : callable, optional
-        Returns the data term of a scale, given both frames at that scale; the paper's by default.
+    make_regularizer, make_v_step, make_residual : callable
+        Return the u-step, the v-step and the data term of a scale; the last two are the paper's by default.
     make_flow_filter : callable, optional
-        Returns the filter of the flow after each warp, given both frames at a scale; none by default.
+        Returns the filter of the flow after each warp at a scale, e.g. a median filter.
     method : str, optional
         Name for the result.
     trace : bool, optional
         Record the energy after each iteration (slow).
-
-    Returns
-    -------
-    FlowResult
-        The flow.
 
     Raises
     ------
@@ -146,27 +134,13 @@ def coarse_to_fine(
 
 
 def check_frames(frame0: Array, frame1: Array) -> None:
-    """Check that two gray frames can be compared.
-
-    Parameters
-    ----------
-    frame0, frame1 : ndarray
-        Frames.
-
-    Raises
-    ------
-    InputError
-        Not two-dimensional, of different size, or a side shorter than the bicubic stencil.
-    """
+    """Refuse frames that are not two-dimensional, differ in size or are smaller than the bicubic stencil."""
     if frame0.shape != frame1.shape:
-        raise InputError(
-            f"frames differ in size: {_size(frame0.shape)} and {_size(frame1.shape)} (width x height)"
-        )
+        sizes = f"{_size(frame0.shape)} and {_size(frame1.shape)}"
+        raise InputError(f"frames differ in size: {sizes} (width x height)")
     if frame0.ndim != 2 or min(frame0.shape) < pyramid.MIN_SIDE:
-        least = pyramid.MIN_SIDE
-        raise InputError(
-            f"frames of {_size(frame0.shape)} pixels are too small: at least {least} x {least} are needed"
-        )
+        least = _size((pyramid.MIN_SIDE, pyramid.MIN_SIDE))
+        raise InputError(f"frames of {_size(frame0.shape)} pixels are too small: at least {least} are needed")
 
 
 def _size(shape: tuple[int, ...]) -> str:

@@ -1,4 +1,4 @@
-"""Median filters of a flow between warps: plain, and weighted by visibility near motion edges."""
+"""Median filters of the flow between warps: a plain one, and a weighted one near motion edges."""
 
 from __future__ import annotations
 
@@ -18,41 +18,17 @@ from fracbench.model.params import FlowParams
 SIGMA_DISTANCE, SIGMA_GRAY = 7.0, 7.0
 #: A neighbour that differs by more gray levels than this has no weight.
 MAX_GRAY_DIFFERENCE = 3.0 * SIGMA_GRAY
-#: A pixel is near a motion edge if the flow changes by more than this, pixels a pixel, within `REACH` pixels.
+#: A pixel is near a motion edge if the flow changes by more than this (pixels per pixel) within `REACH` pixels.
 MOTION_EDGE, REACH = 0.1, 4
 
 
 def median(flow: Array, size: int) -> Array:
-    """Return the median over windows of ``size x size`` pixels, borders repeated, of each component.
-
-    Parameters
-    ----------
-    flow : ndarray, shape (2, H, W)
-        Flow.
-    size : int
-        Side of the window, odd.
-
-    Returns
-    -------
-    ndarray, shape (2, H, W)
-        A new array, in the precision of `flow`.
-    """
+    """Return the medians of a flow (2, H, W) over windows of ``size x size`` pixels, borders repeated."""
     return np.stack([scipy.ndimage.median_filter(component, size, mode="nearest") for component in flow])
 
 
 def motion_edges(flow: Array) -> Array:
-    """Mark the pixels near a motion edge; see `MOTION_EDGE`.
-
-    Parameters
-    ----------
-    flow : ndarray, shape (2, H, W)
-        Flow.
-
-    Returns
-    -------
-    ndarray of bool, shape (H, W)
-        True near one.
-    """
+    """Return a mask (H, W) of the pixels of a flow (2, H, W) near a motion edge; see `MOTION_EDGE`."""
     steep = np.max([np.hypot(slope(u, 0), slope(u, 1)) for u in flow], axis=0) > MOTION_EDGE
     return scipy.ndimage.maximum_filter(steep, 2 * REACH + 1, mode="nearest")
 
@@ -61,28 +37,12 @@ def motion_edges(flow: Array) -> Array:
 def weighted_median(
     flow: Array, guide: Array, trust: Array, mask: Array, radius: int, out: Array, start: int, stop: int
 ) -> None:
-    """Replace the flow near motion edges by the weighted median of its neighbours.
+    """Write the weighted median of each component of a flow (2, H, W) to `out` where `mask` (H, W) is true.
 
-    The weight of a neighbour falls with its distance and its difference in gray level, as Gaussians, and is
-    proportional to its `trust`. The median is the lower one, the smallest value that half of the weight does not
-    exceed. Neighbours outside the image do not count.
-
-    Parameters
-    ----------
-    flow : ndarray, shape (2, H, W)
-        Flow.
-    guide : ndarray, shape (H, W)
-        Frame 0, gray levels.
-    trust : ndarray, shape (H, W)
-        Weight of each pixel as a neighbour, at least 0; see `visibility`.
-    mask : ndarray of bool, shape (H, W)
-        The pixels to replace.
-    radius : int
-        Half the side of the window, pixels.
-    out : ndarray, shape (2, H, W)
-        Overwritten where `mask` is true and a neighbour has weight.
-    start, stop : int
-        The rows of the image to take.
+    The weight of a neighbour is proportional to its `trust` (H, W), e.g. its visibility, and falls as Gaussians
+    with its distance and with its difference in the gray levels `guide` (H, W). The median is the lower one: the
+    smallest value that half of the weight does not exceed. Neighbours outside the image do not count, and `out`
+    stays where no neighbour has weight. Rows `start` to `stop` are filtered.
     """
     _, height, width = flow.shape
     space = (2 * radius + 1) ** 2
@@ -148,15 +108,7 @@ def flow_filter(frame0: Array, frame1: Array, params: FlowParams) -> Callable[[A
 
 
 class FlowFilter:
-    """The median filters of `fracbench.model.flow_filters`, one after the other, for the flow of a scale.
-
-    Parameters
-    ----------
-    frame0, frame1 : ndarray, shape (H, W)
-        The frames at the scale.
-    params : FlowParams
-        Radii of the windows, 0 for none, and whether neighbours that are hidden count less.
-    """
+    """The plain median filter of the flow of a scale, replaced by the weighted one near motion edges."""
 
     def __init__(self, frame0: Array, frame1: Array, params: FlowParams) -> None:
         self._guide = frame0

@@ -1,4 +1,4 @@
-"""The first minimisation problem, ``min_u R(u) + |u - v|^2 / (2 theta)``, for one flow: dual and split Bregman.
+"""The u-step, ``min_u R(u) + |u - v|^2 / (2 theta)``: Chambolle's dual step and split Bregman iteration.
 
 Both keep their state (dual or Bregman variables) between calls; `restart` forgets it.
 """
@@ -17,46 +17,25 @@ from fracbench.model.kernels.pointwise import bregman_update, mean_squared_chang
 from fracbench.model.kernels.threads import count, parallel_for, parallel_map
 from fracbench.model.operators.base import GradientOperator
 from fracbench.model.operators.forward import ForwardDifferences
-from fracbench.model.sweeps import (
-    gauss_seidel_dense,
-    gauss_seidel_natural,
-    jacobi_sweep,
-)
+from fracbench.model.sweeps import gauss_seidel_dense, gauss_seidel_natural, jacobi_sweep
 
 
 class Regularizer(Protocol):
-    """The interface of a u-step.
-
-    Attributes
-    ----------
-    operator : GradientOperator
-        The gradient whose norm is minimised; for the energy.
-    """
+    """The interface of a u-step; the energy needs its `operator`, the gradient whose norm is minimised."""
 
     operator: GradientOperator
 
     def restart(self) -> None:
         """Forget the state kept between calls."""
-        ...
 
     def step(self, v: Array, u: Array, out: Array) -> int:
         """Write the next flow to `out` from `v` and the current `u`, all (2, H, W); return inner iterations."""
-        ...
 
 
 class TVDual:
     """Chambolle's dual step for TV with forward differences (Zach et al. 2007; IPOL's numerics).
 
-    Parameters
-    ----------
-    shape : tuple of int
-        ``(H, W)``.
-    theta : float
-        Tightness.
-    tau : float
-        Dual time step; converges up to 1/4.
-    dtype : dtype-like
-        Precision.
+    The dual time step `tau` may be up to 1/4, where it still converges.
     """
 
     def __init__(self, shape: tuple[int, int], theta: float, tau: float, dtype: np.dtype | type) -> None:
@@ -82,19 +61,7 @@ class TVDual:
 
 @jit
 def dual_primal(v: Array, p: Array, theta: float, u: Array) -> None:
-    """Write ``u = v + theta div p`` with backward differences, the adjoint of `dual_ascent`'s gradient.
-
-    Parameters
-    ----------
-    v : ndarray, shape (H, W)
-        Data.
-    p : ndarray, shape (2, H, W)
-        Dual variable.
-    theta : float
-        Tightness.
-    u : ndarray, shape (H, W)
-        Output.
-    """
+    """Write ``u = v + theta div p``, (H, W); backward differences are the adjoint of `dual_ascent`'s gradient."""
     height, width = v.shape
     step = v.dtype.type(theta)  # or all would be computed in float64
     for i in range(height):
@@ -110,16 +77,9 @@ def dual_primal(v: Array, p: Array, theta: float, u: Array) -> None:
 
 @jit
 def dual_ascent(u: Array, step: float, p: Array) -> None:
-    """Update ``p <- (p + step grad u) / (1 + step |grad u|)`` with forward differences, 0 across the border.
+    """Update p, (2, H, W), by ``(p + step grad u) / (1 + step |grad u|)``, ``step = tau / theta``.
 
-    Parameters
-    ----------
-    u : ndarray, shape (H, W)
-        Primal variable.
-    step : float
-        ``tau / theta``.
-    p : ndarray, shape (2, H, W)
-        Dual variable, overwritten.
+    The gradient consists of forward differences, 0 across the border.
     """
     height, width = u.shape
     real = u.dtype.type  # or all would be computed in float64
@@ -148,16 +108,12 @@ class SplitBregman:
     u_solver : {'exact', 'gauss_seidel', 'jacobi'}
         The operator's own `solve`, one sweep in raster order, or one of the printed fixed point.
     inner : {'warm', 'cold'}
-        `warm` keeps d and b between calls and takes one Bregman step a call. `cold` is the paper's:
-        each call starts from u = v, d = b = 0 and iterates until the root mean square of a
-        component's change is at most `tol`, or `max_inner` times.
+        `warm` keeps d and b between calls and takes one Bregman step per call. `cold` is the paper's rule:
+        each call starts from u = v, d = b = 0 and iterates until the root mean square of a component's change is
+        at most `tol` pixels, or `max_inner` times.
     relaxation : float
         Over-relaxation, in (0, 2), of warm steps that are solved exactly; a cold step is a step of the
         paper, and a single sweep is too rough to be relaxed.
-    tol : float
-        See `inner`, pixels.
-    max_inner : int
-        See `inner`.
     """
 
     def __init__(
@@ -175,7 +131,7 @@ class SplitBregman:
         self.operator = operator
         self._theta, self._mu = theta, mu
         weights = operator.pixel_weights
-        # Not 0: it would be divided by norms whose squares underflow.
+        # Not 0, which would be divided by norms whose squares underflow.
         self._least = float(np.finfo(operator.dtype).eps ** 2)
         self._threshold = (
             1.0 / mu if weights is None else np.maximum(weights / weights.dtype.type(mu), self._least)
@@ -225,18 +181,9 @@ class SplitBregman:
         return count
 
     def bregman_step(self, component: int, v: Array, u: Array, *, warm: bool = False) -> None:
-        """Take one step (u, then d, then b) for one component.
+        """Take one step (u, then d, then b) for a component of the flow, 0 or 1; the next iterate overwrites `u`.
 
-        Parameters
-        ----------
-        component : int
-            0 or 1: whose d and b.
-        v : ndarray, shape (H, W)
-            Data.
-        u : ndarray, shape (H, W)
-            Current iterate, overwritten by the next.
-        warm : bool, optional
-            Let the first step start from d = D u instead of smoothing u away, and relax the others.
+        If `warm`, the first step starts from d = D u, because d = 0 would smooth u away.
         """
         z, w = self._z[component], self._w[component % len(self._w)]
         gamma, relaxation = self._threshold, self._relaxation
@@ -253,34 +200,23 @@ class SplitBregman:
         operator = self.operator
         if self._solver == "exact":
             operator.solve(v, w, self._theta, self._mu, self._system, u)
-            return
-        if self._fused:
+        elif self._fused:
             gauss_seidel_natural(u, v, w, self._theta, self._mu)
-            return
-        rhs = v / u.dtype.type(self._theta) + u.dtype.type(self._mu * operator.weight) * operator.adjoint(w)
-        if self._solver == "jacobi":
-            u[...] = jacobi_sweep(u, rhs, self._ny, self._nx, self._theta, self._mu)
         else:
-            gauss_seidel_dense(u, rhs, self._ny, self._nx, self._theta, self._mu)
-        operator.differentiate(u, w)
+            real = u.dtype.type
+            rhs = v / real(self._theta) + real(self._mu * operator.weight) * operator.adjoint(w)
+            system = self._ny, self._nx, self._theta, self._mu
+            if self._solver == "jacobi":
+                u[...] = jacobi_sweep(u, rhs, *system)
+            else:
+                gauss_seidel_dense(u, rhs, *system)
+            operator.differentiate(u, w)
 
 
 def edge_weights(image: Array, decay: float, power: float) -> Array:
-    """Return ``exp(-k |grad I|^b)`` over its mean: the regulariser is weaker at image edges.
+    """Return ``exp(-k |grad I|^b)`` over its mean for an image (H, W): the regulariser is weaker at image edges.
 
-    Parameters
-    ----------
-    image : ndarray, shape (H, W)
-        Frame 0, gray levels.
-    decay : float
-        k; 0 makes all weights 1.
-    power : float
-        b.
-
-    Returns
-    -------
-    ndarray, shape (H, W)
-        Positive, of mean 1, so that the balance with the data term is kept.
+    `decay` is k and `power` is b. The mean of 1 keeps the balance with the data term.
     """
     steepness = np.hypot(slope(image, 0), slope(image, 1))
     weights = np.exp(-decay * steepness**power)

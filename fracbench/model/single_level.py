@@ -1,4 +1,4 @@
-"""The single-level solver (Algorithm 2): warps, and within each the alternation of v-step and u-step."""
+"""The single-level solver (Algorithm 2): warps, and in each warp the alternation of v-step and u-step."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ from fracbench.model.warping import Linearization
 
 @dataclass
 class LevelReport:
-    """Iterations and stop reasons at one scale.
+    """Iterations and stop reasons at one scale; each list has one item per warp.
 
     Attributes
     ----------
     shape : tuple of int
         ``(H, W)`` of the scale.
     iterations : list of int
-        Passes of Algorithm 2's loop, one number a warp.
+        Passes of Algorithm 2's loop.
     inner_iterations : list of int
-        Calls of the u-step's inner loop (both components together when cold), one number a warp.
+        Iterations of the u-step's inner loop; the sum over both components if it starts cold.
     stop : list of str
-        ``"converged"``, ``"max_iter"`` or ``"diverged"``, one a warp.
+        ``"converged"``, ``"max_iter"`` or ``"diverged"``.
     energy : list of list of float
-        E(u, v) after each iteration at the best v for its u, a list a warp; empty unless asked for.
+        E(u, v) after each iteration, at the best v for its u; empty unless traced.
     """
 
     shape: tuple[int, int]
@@ -69,33 +69,10 @@ def solve_single_level(
     filter_flow: Callable[[Array], Array] | None = None,
     trace: bool = False,
 ) -> tuple[Array, LevelReport]:
-    """Run Algorithm 2 at one scale.
+    """Run Algorithm 2 at one scale: return the flow (2, H, W) and its report.
 
-    Parameters
-    ----------
-    residual : Residual
-        The data.
-    u : ndarray, shape (2, H, W)
-        Initial flow; overwritten.
-    params : FlowParams
-        Parameters.
-    regularizer : Regularizer
-        The u-step.
-    v_step : VStep
-        The v-step.
-    watch : Stopwatch
-        Adds up seconds by phase.
-    filter_flow : callable, optional
-        Filter of the flow after each warp, e.g. a median filter.
-    trace : bool, optional
-        Record the energy after each iteration (slow).
-
-    Returns
-    -------
-    flow : ndarray, shape (2, H, W)
-        The flow.
-    report : LevelReport
-        Iterations and stop reasons.
+    `residual` is the data term, `regularizer` the u-step. The initial flow `u` is overwritten. `filter_flow`, e.g.
+    a median filter, acts on the flow after each warp. `trace` records the energy after each iteration (slow).
     """
     report = LevelReport(shape=(u.shape[1], u.shape[2]))
     after = aligned(u.shape, u.dtype)
@@ -127,7 +104,7 @@ def _alternate(
     report: LevelReport,
     trace: bool,
 ) -> tuple[Array, Array]:
-    """Minimise E(u, v) for one linearisation, alternating between v and u; return u and the spare array."""
+    """Minimise E(u, v) for one linearisation by alternation of v and u; return u and the spare array."""
     limit = params.epsilon**2 if params.epsilon_squared else params.epsilon
     stop, count, inner, energies = "max_iter", 0, 0, []
     while count < params.max_iter:

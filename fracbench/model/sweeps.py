@@ -1,8 +1,8 @@
-"""Solvers of the u-step: ``(1/theta + mu (Ny (x) I + I (x) Nx)) u = rhs`` (fractional Euler-Lagrange equation).
+"""Sweeps for the u-step: ``(1/theta + mu (Ny (x) I + I (x) Nx)) u = rhs`` (fractional Euler-Lagrange equation).
 
-``Ny`` and ``Nx`` are the normal operators along the two axes, ``mu = lambda_sb``. The system is symmetric
-positive definite. The gradient operators solve it exactly (`operators.base`); the sweeps here are the
-paper's way, with its misprints corrected.
+``Ny``, (H, H), and ``Nx``, (W, W), are the normal operators along the axes in the precision of u,
+``mu = lambda_sb`` and ``rhs = v/theta + mu D^T (d - b)``. The system is symmetric positive definite. The gradient
+operators (`operators.base`) solve it exactly; these sweeps are the paper's way, with its misprints corrected.
 """
 
 from __future__ import annotations
@@ -15,23 +15,9 @@ from fracbench.model.kernels.jit import jit
 
 
 def jacobi_sweep(u: Array, rhs: Array, ny: Array, nx: Array, theta: float, mu: float) -> Array:
-    """Return the next iterate of the fixed point that Algorithm 4 prints, with its signs corrected.
+    """Return the next iterate (H, W) of the fixed point that Algorithm 4 prints, with its signs corrected.
 
-    Parameters
-    ----------
-    u : ndarray, shape (H, W)
-        Current iterate.
-    rhs : ndarray, shape (H, W)
-        ``v/theta + mu D^T (d - b)``.
-    ny, nx : ndarray, shapes (H, H) and (W, W)
-        Normal operators along the axes, in the precision of `u`.
-    theta, mu : float
-        Tightness and split Bregman parameter.
-
-    Returns
-    -------
-    ndarray, shape (H, W)
-        Where the spectral radius exceeds 1 (errata, item 3), repeated sweeps diverge.
+    Repeated sweeps diverge where the spectral radius exceeds 1 (errata, item 3).
     """
     next_u: Array = ny @ u
     _relax_jacobi(u, rhs, u @ nx, np.diag(ny), np.diag(nx), theta, mu, next_u)
@@ -86,18 +72,8 @@ def _sweep_row(u: Array, row: Array, theta: float, mu: float, i: int) -> None:
 def gauss_seidel_natural(u: Array, v: Array, w: Array, theta: float, mu: float) -> None:
     """Take the u-step of Algorithm 3: one sweep in raster order, 5-point stencil without flux, D u after it.
 
-    The right-hand side ``v/theta + mu D^T (d - b)`` is formed row by row as the sweep comes by.
-
-    Parameters
-    ----------
-    u : ndarray, shape (H, W)
-        Current iterate, overwritten.
-    v : ndarray, shape (H, W)
-        Data.
-    w : ndarray, shape (1, 2, H, W)
-        ``d - b``, overwritten by the forward differences of the next u, 0 across the border.
-    theta, mu : float
-        Tightness and split Bregman parameter.
+    The next iterate overwrites `u`, and its forward differences, 0 across the border, overwrite ``w = d - b``,
+    (1, 2, H, W). The right-hand side is formed row by row as the sweep comes by.
     """
     row = np.empty(u.shape[1], u.dtype)
     for i in range(len(u)):
@@ -109,21 +85,10 @@ def gauss_seidel_natural(u: Array, v: Array, w: Array, theta: float, mu: float) 
 
 @jit
 def gauss_seidel_dense(u: Array, rhs: Array, ny: Array, nx: Array, theta: float, mu: float) -> None:
-    """Sweep once over the pixels in raster order with dense normal operators (Algorithm 4, corrected).
+    """Sweep once over the pixels of `u` in raster order with dense normal operators (Algorithm 4, corrected).
 
-    The off-diagonal sums are subtracted, as the Euler-Lagrange equation asks. All pixels of a row share
+    The off-diagonal sums are subtracted, in accordance with the Euler-Lagrange equation. All pixels of a row share
     the sum over the other rows, because no other row changes while the sweep is in this one.
-
-    Parameters
-    ----------
-    u : ndarray, shape (H, W)
-        Current iterate, overwritten.
-    rhs : ndarray, shape (H, W)
-        ``v/theta + mu D^T (d - b)``.
-    ny, nx : ndarray, shapes (H, H) and (W, W)
-        Normal operators along the axes, in the precision of `u`.
-    theta, mu : float
-        Tightness and split Bregman parameter.
     """
     height, width = u.shape
     real = u.dtype.type  # or all would be computed in float64
@@ -147,18 +112,8 @@ def gauss_seidel_dense(u: Array, rhs: Array, ny: Array, nx: Array, theta: float,
 def gauss_seidel_literal(u: Array, rhs: Array, weights: Float64Array, theta: float, mu: float) -> None:
     """Sweep as `gauss_seidel_dense` does, by the double sums that Algorithm 4 prints (signs corrected).
 
-    The baseline of speed measurements: the cost of a sweep grows with ``H W (H^2 + W^2)``.
-
-    Parameters
-    ----------
-    u : ndarray, shape (H, W)
-        Current iterate, overwritten.
-    rhs : ndarray, shape (H, W)
-        ``v/theta + mu D^T (d - b)``.
-    weights : ndarray, shape (max(H, W),), float64
-        Gruenwald-Letnikov weights.
-    theta, mu : float
-        Tightness and split Bregman parameter.
+    This is the baseline of speed measurements: the cost of a sweep grows with ``H W (H^2 + W^2)``. There are
+    max(H, W) Gruenwald-Letnikov `weights`.
     """
     height, width = u.shape
     for i in range(height):

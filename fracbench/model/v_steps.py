@@ -16,41 +16,26 @@ from fracbench.model.warping import Linearization
 
 
 class VStep(Protocol):
-    """The interface of a v-step: it returns the target of the u-step."""
+    """The interface of a v-step, made for the flows of a scale: it returns the target of the u-step."""
 
     def relinearised(self) -> None:
-        """Note that the residual has been linearised anew."""
-        ...
+        """Take note that the residual has been linearised anew; by default there is no state to adapt."""
+        return
 
     def restart(self) -> None:
-        """Forget the state kept between iterations."""
-        ...
+        """Forget the state kept between iterations; by default there is none."""
+        return
 
     def target(self, u: Array, linear: Linearization) -> Array:
-        """Return the next target, (2, H, W); it is overwritten by the next call."""
-        ...
+        """Return the next target, (2, H, W); the next call overwrites it."""
 
 
-class PenaltyStep:
-    """The paper's v-step: the target is v itself.
-
-    Parameters
-    ----------
-    like : ndarray, shape (2, H, W)
-        A flow of the scale.
-    params : FlowParams
-        Data attachment weight and tightness.
-    """
+class PenaltyStep(VStep):
+    """The paper's v-step: the target is v itself."""
 
     def __init__(self, like: Array, params: FlowParams) -> None:
         self._v = aligned(like.shape, like.dtype)
         self._lambda_theta = params.lambda_ * params.theta
-
-    def relinearised(self) -> None:
-        """Keep no state."""
-
-    def restart(self) -> None:
-        """Keep no state."""
 
     def target(self, u: Array, linear: Linearization) -> Array:
         """Return v; see `VStep`."""
@@ -58,16 +43,8 @@ class PenaltyStep:
         return self._v
 
 
-class MultiplierStep:
-    """The v-step with a multiplier kept between iterations and warps; see `coupled_threshold`.
-
-    Parameters
-    ----------
-    like : ndarray, shape (2, H, W)
-        A flow of the scale.
-    params : FlowParams
-        Data attachment weight, tightness, step and relaxation.
-    """
+class MultiplierStep(VStep):
+    """The v-step with a multiplier kept between iterations and warps; see `coupled_threshold`."""
 
     def __init__(self, like: Array, params: FlowParams) -> None:
         self._c, self._target = (aligned(like.shape, like.dtype) for _ in range(2))
@@ -93,7 +70,7 @@ class MultiplierStep:
         return self._target
 
     def _relaxation(self) -> float:
-        """Return the over-relaxation of this iteration: none where the last w belongs to another residual."""
+        """Return the over-relaxation of this iteration; see `relinearised`."""
         fresh, self._fresh = self._fresh, False
         return 1.0 if fresh else self._params.relaxation
 
@@ -103,15 +80,7 @@ DUAL_SWEEPS = 2
 
 
 class ChannelStep(MultiplierStep):
-    """The v-step of several channels with a multiplier: `MultiplierStep` for a data term that is a sum.
-
-    Parameters
-    ----------
-    like : ndarray, shape (2, H, W)
-        A flow of the scale.
-    params : FlowParams
-        Data attachment weights, tightness, step and relaxation.
-    """
+    """The v-step with a multiplier for a data term that is a sum over channels."""
 
     def __init__(self, like: Array, params: FlowParams) -> None:
         super().__init__(like, params)
@@ -119,7 +88,7 @@ class ChannelStep(MultiplierStep):
         self._duals = np.zeros((len(self._lambdas), *like.shape[1:]), like.dtype)
 
     def target(self, u: Array, linear: Linearization) -> Array:
-        """Return ``w - c``; see `fracbench.model.v_steps.VStep`."""
+        """Return ``w - c``; see `VStep`."""
         data = u, *linear, self._lambdas
         settings = self._params.theta, self._params.coupling_step, self._relaxation()
         state = self._duals, self._c, self._target
@@ -143,30 +112,12 @@ def coupled_thresholds(
     start: int,
     stop: int,
 ) -> None:
-    """Take the v-step for ``F(w) = min_v |w - v|^2 / (2 theta) + sum_k lambda_k |rho_k(v)|``.
+    """Take the v-step for ``F(w) = min_v |w - v|^2 / (2 theta) + sum_k lambda_k |rho_k(v)|`` in some rows.
 
-    As `kernels.pointwise.coupled_threshold`, but v is found by its duals: ``v = z - (theta + step) sum_k
-    p_k grad_k`` with ``|p_k| <= lambda_k``, one after the other the best p_k for the others. For one channel one
-    round is the thresholding operator TH.
-
-    Parameters
-    ----------
-    u : ndarray, shape (2, H, W)
-        Flow.
-    rho_c, gradient : ndarray, shapes (K, H, W) and (K, 2, H, W)
-        The residuals.
-    lambdas : ndarray, shape (K,)
-        Data attachment weights.
-    theta, step, relaxation
-        See `fracbench.model.kernels.pointwise.coupled_threshold`.
-    duals : ndarray, shape (K, H, W)
-        ``p_k``, overwritten by the next.
-    c, target : ndarray, shape (2, H, W)
-        See `fracbench.model.kernels.pointwise.coupled_threshold`.
-    sweeps : int
-        Sweeps of coordinate ascent over the dual variables.
-    start, stop : int
-        The rows of the image to take.
+    It is `coupled_threshold` with K channels first in `rho_c` and `gradient`, and finds v by its duals p_k,
+    (K, H, W): ``v = z - (theta + step) sum_k p_k grad_k`` with ``|p_k| <= lambda_k``. A sweep of coordinate ascent
+    replaces each p_k in turn by the best one for the others. One sweep of one channel is the thresholding
+    operator TH.
     """
     part = step / (step + theta)
     tau = theta + step
@@ -200,10 +151,7 @@ def coupled_thresholds(
 def channel_step(like: Array, params: FlowParams) -> VStep | None:
     """Return the v-step for brightness and gradient constancy, or None if `params` ask for brightness alone.
 
-    Raises
-    ------
-    InputError
-        With the penalty coupling, which has no such step.
+    The penalty coupling has no such step: an `InputError`.
     """
     if not params.lambda_gradient:
         return None

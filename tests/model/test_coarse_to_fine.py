@@ -94,7 +94,7 @@ def test_float32_agrees_with_float64(method):
 
 
 def flipped(flow, axis):
-    """The flow seen in a mirror: positions and one component change sides."""
+    """The mirror image of a flow: positions are reversed along the axis, and one component changes its sign."""
     result = np.flip(flow, axis + 1).copy()
     result[1 - axis] *= -1.0
     return result
@@ -227,7 +227,7 @@ def test_fewer_scales_than_asked_for_are_noticed():
 
 
 def test_a_run_that_overflows_is_reported_as_diverged(monkeypatch):
-    """By a gain that is out of range: nothing that is in range overflows."""
+    """The gain is out of its range, because nothing within the ranges overflows."""
     monkeypatch.setattr(parameters, "_check_range", lambda *_: None)
     frames = ref.translated_pair((16, 40), (0.8, 0.5))
     with np.errstate(over="ignore", invalid="ignore"):

@@ -36,7 +36,7 @@ def neighbours(i, j, radius, shape):
 
 
 def literal(flow, guide, trust, i, j, radius):
-    """Sort the neighbours of a pixel and add up weights to the half, a component at a time."""
+    """Sort the neighbours of each pixel and add up their weights to one half, for each component."""
     around = neighbours(i, j, radius, guide.shape)
     weights = [
         trust[p, q]
@@ -72,7 +72,7 @@ def test_a_window_of_one_pixel_changes_nothing(rng):
 @pytest.mark.parametrize("levels", [3, 1000])
 @pytest.mark.parametrize("radius", [1, 3])
 def test_the_weighted_median_is_that_of_the_sorted_neighbours(rng, radius, levels):
-    """With few levels most neighbours are equal, which selection has to stand."""
+    """With few levels most neighbours are equal, and the selection must cope with ties."""
     shape = (9, 11)
     flow = rng.integers(0, levels, (2, *shape)).astype(float)
     guide, trust = rng.uniform(0.0, 40.0, shape), rng.uniform(0.0, 1.0, shape) * rng.integers(0, 2, shape)
@@ -89,7 +89,7 @@ def test_the_weighted_median_is_that_of_the_sorted_neighbours(rng, radius, level
 
 
 def test_equal_weights_give_the_plain_median(rng):
-    """Far inside a uniform image the distances alone weigh; a radius of 1 is too small for them to matter."""
+    """Far inside a uniform image the weights depend on distance alone: hardly within a radius of 1."""
     flow, shape = rng.normal(size=(2, 8, 8)), (8, 8)
     got = weighted(flow, np.zeros(shape), np.ones(shape), np.ones(shape, bool), 1)
     np.testing.assert_array_equal(got[:, 1:-1, 1:-1], median(flow, 3)[:, 1:-1, 1:-1])
@@ -108,7 +108,7 @@ def test_only_the_masked_pixels_of_the_rows_are_replaced(rng):
 
 
 def test_the_weighted_median_keeps_to_its_own_side_of_an_edge_of_the_image():
-    """A flow that leaks two pixels over the image's edge is drawn back to it, where a plain median is not."""
+    """The filter moves a flow that leaks two pixels over the image's edge back to it; a plain median does not."""
     guide = np.zeros((15, 20))
     guide[:, 10:] = 100.0
     flow = np.zeros((2, 15, 20))

@@ -55,7 +55,7 @@ def objective(operator, u, v):
 
 
 def relative_excess(operator, boundary, alpha, u):
-    """How far each component's energy lies above the certified minimum, relative to it."""
+    """The excess of each component's energy over the certified minimum, relative to it."""
     for (lower, upper), component, data in zip(dual_bounds(boundary, alpha), u, V, strict=True):
         assert upper - lower < 1e-5 * lower  # the oracle itself has converged
         yield (objective(operator, component, data) - lower) / lower

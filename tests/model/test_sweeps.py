@@ -198,7 +198,7 @@ def test_jacobi_radius_is_that_of_the_printed_sweep_with_corrected_sign(rng):
     ("theta", "mu", "converges", "diverges"), [(0.3, 5.0, 1.1, 1.3), (0.3, 10.0, 1.0, 1.2), (0.7, 1.0, 1.2, 1.5)]
 )
 def test_jacobi_diverges_where_the_paper_looks(theta, mu, converges, diverges):
-    """Radii on these 24 x 24 images: .930 and 1.081, .919 and 1.071, .884 and 1.111."""
+    """The radii on these 24 x 24 images: 0.930 and 1.081, 0.919 and 1.071, 0.884 and 1.111."""
     radius = {a: jacobi_radius(system("zero", a, (24, 24), 0, theta, mu)) for a in (converges, diverges)}
     assert radius[converges] < 0.96
     assert radius[diverges] > 1.04
