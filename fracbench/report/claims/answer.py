@@ -10,7 +10,6 @@ from fracbench.data.files import ensure_folder, write_text
 from fracbench.errors import InputError
 from fracbench.figures import style
 from fracbench.figures.cache import draw
-from fracbench.harness.config.paths import asset
 from fracbench.report.claims.claims import count_verdicts
 from fracbench.report.claims.judging import (
     CONTEXT,
@@ -20,6 +19,7 @@ from fracbench.report.claims.judging import (
     UnjudgeableError,
     captioned_regions,
     near_best,
+    published_table2,
     region_curve,
 )
 from fracbench.report.sources import Sources
@@ -72,7 +72,7 @@ def answer_table(sources: Sources) -> pd.DataFrame:
             curve = region_curve(found, setting, region)
             near, best = near_best(curve, "aepe", "alpha"), curve.loc[curve["aepe"].idxmin(), "alpha"]
             records.append(("alpha", region, setting, best, near.min(), near.max()))
-    printed = pd.read_csv(asset("results/published/table2.csv"))
+    printed = published_table2()
     parts = {_PAPER: printed[printed["method"] == "tvl1_sb"]}
     parts |= {name: found.points("table2", protocol=name, method="tvl1_sb") for name in ("reference", "published")}
     for name, part in parts.items():

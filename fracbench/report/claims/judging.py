@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fracbench.harness.config.experiment import load_experiment
+from fracbench.harness.config.paths import asset
 from fracbench.studies.base import FLAT
 from fracbench.studies.paper.alpha_regions import CAPTIONED, captions
 
@@ -55,6 +56,13 @@ def captioned_regions() -> Mapping[str, tuple[str, float]]:
         for figure in CAPTIONED
         for region, caption in captions(load_experiment(figure)).items()
     }
+
+
+def published_table2() -> pd.DataFrame:
+    """Return Table 2 as it is printed."""
+    import pandas as pd
+
+    return pd.read_csv(asset("results/published/table2.csv"))
 
 
 class UnjudgeableError(Exception):

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fracbench.harness.config.paths import asset
 from fracbench.harness.run.tidy import METRICS
 from fracbench.report.claims.judging import (
     CLOSE,
@@ -26,6 +25,7 @@ from fracbench.report.claims.judging import (
     near_best,
     nearest_row,
     percent,
+    published_table2,
     rule,
     span,
     two_over_theta,
@@ -61,10 +61,7 @@ def method_better(tables: Tables, setting: str, *, metric: str) -> Judgement:
 @rule(*PROTOCOLS)
 def numbers_met(tables: Tables, setting: str) -> Judgement:
     """Judge how many of Table 2's numbers are met."""
-    import pandas as pd
-
-    table = tables.points("table2", METRICS, protocol=setting)
-    published = pd.read_csv(asset("results/published/table2.csv"))
+    table, published = tables.points("table2", METRICS, protocol=setting), published_table2()
     ratio = versus_published(table, published)["ratio"]
     if len(ratio) < published.size - 2 * len(published) or ratio.isna().any():
         raise UnjudgeableError("table2 does not have all the numbers that are printed")

@@ -137,17 +137,10 @@ def _experiments(found: Sequence[Source]) -> Table:
     columns += [Column("seconds", numeric=True), Column("newest row", numeric=True), Column("command")]
     cells = []
     for source in found:
-        seconds = sum(row.seconds or 0.0 for row in source.rows.values())
-        counts = (source.n_points, len(source.rows), len(source.unfinished))
-        cells.append(
-            [
-                Cell(source.experiment.name, source.experiment.title),
-                *(Cell(str(count)) for count in counts),
-                Cell(f"{seconds:.0f}"),
-                Cell(newest(list(source.rows.values()))),
-                Cell(source.command),
-            ]
-        )
+        rows = list(source.rows.values())
+        seconds = f"{sum(row.seconds or 0.0 for row in rows):.0f}"
+        values = (source.n_points, len(rows), len(source.unfinished), seconds, newest(rows), source.command)
+        cells.append([Cell(source.experiment.name, source.experiment.title), *(Cell(str(v)) for v in values)])
     return Table("Experiments on this page; points that several share are computed once", columns, cells)
 
 

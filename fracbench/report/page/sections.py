@@ -6,11 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from fracbench.harness.config.paths import asset
 from fracbench.harness.run.tidy import METRICS
 from fracbench.methods.registry import get_method
 from fracbench.report.claims.claims import Judged, count_verdicts
-from fracbench.report.claims.judging import FAILS, HOLDS, IN_PART, SETTINGS, UNKNOWN
+from fracbench.report.claims.judging import FAILS, HOLDS, IN_PART, SETTINGS, UNKNOWN, published_table2
 from fracbench.report.page.elements import Block, Cell, Column, Heading, Section, Table, Tallies, Tally, Text
 from fracbench.report.page.exhibits import document, figures_of, state
 from fracbench.report.page.gallery import sequence_name
@@ -69,19 +68,12 @@ def _verdict_cell(item: Judged, protocol: str) -> Cell:
 # -- Table 2 -------------------------------------------------------------------------------------
 
 
-def published() -> pd.DataFrame:
-    """Return Table 2 as it is printed."""
-    import pandas as pd
-
-    return pd.read_csv(asset("results/published/table2.csv"))
-
-
 def table2(sources: Sources) -> Section:
     """Return Table 2 under each protocol, the paper's number beside ours, and how well they agree."""
     source = sources.get("table2")
     blocks = state(source)
     if source.rows:
-        both = versus_published(source.table, published())
+        both = versus_published(source.table, published_table2())
         names = list(both["protocol"].unique())
         parts = source.table.assign(part=source.table["protocol"])
         blocks.append(_overview(parts, dict.fromkeys(names, ()), "protocol"))
@@ -111,7 +103,7 @@ def _overview(table: pd.DataFrame, grids: Mapping[str, Sequence[str]], word: str
         *(Column(name, means, True) for name in ("TV-L1", "TV-L1-SB")),
     ]
     rows = []
-    for found in switch_table(table, published(), grids).to_dict("records"):
+    for found in switch_table(table, published_table2(), grids).to_dict("records"):
         whole = math.isfinite(found["distance"])
         counts = [str(found[f"within {percent} %"]) if whole else "" for percent in (5, 10)]
         distances = [_number(found[f"distance{method}"], 3) for method in ("", " tvl1", " tvl1_sb")]
@@ -169,7 +161,7 @@ def protocol_study(sources: Sources) -> Section:
     source = sources.get("protocol_study")
     blocks = state(source)
     if source.rows:
-        found = switch_table(source.table, published(), source.experiment.grids)
+        found = switch_table(source.table, published_table2(), source.experiment.grids)
         blocks += [Text(sentence, "answer") for sentence in switch_sentences(found)]
         blocks.append(_overview(source.table, source.experiment.grids, "switch changed"))
         blocks += figures_of(source, sources.results)

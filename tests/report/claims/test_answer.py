@@ -10,7 +10,7 @@ from fracbench.errors import InputError
 from fracbench.report.claims import answer
 from fracbench.report.claims.answer import HEADLINES, answer_figure, answer_table, answer_text, renew, write_answer
 from fracbench.report.claims.claims import load_claims
-from fracbench.report.claims.judging import CONTEXT, captioned_regions
+from fracbench.report.claims.judging import CONTEXT, captioned_regions, published_table2
 from fracbench.report.sources import Sources
 
 FIRST, LAST = answer._MARKS
@@ -33,7 +33,7 @@ def sources(tmp_path, monkeypatch):
             for part, (protocol, best) in parts.items()
             if home == figure
         ).assign(dataset="middlebury", status="done")
-    printed = pd.read_csv(answer.asset("results/published/table2.csv"))
+    printed = published_table2()
     made["table2"] = pd.concat(
         printed.assign(protocol=protocol, aepe=printed["aepe"] * factor)
         for protocol, factor in (("reference", 0.1), ("published", 1.1))
