@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fracbench.data.files import ensure_folder, write_text
 from fracbench.errors import InputError
 from fracbench.evaluation.resampling import leave_one_out
 from fracbench.harness.config.experiment import Experiment
@@ -16,7 +15,7 @@ from fracbench.harness.run.store import Row
 from fracbench.harness.run.tidy import tidy
 from fracbench.model.params import FlowParams
 from fracbench.studies import tables
-from fracbench.studies.base import Artefact, file_stem
+from fracbench.studies.base import TABLES, Artefact, file_stem
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -52,34 +51,32 @@ def accurate_study(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], 
     ablation = ablation_table(table[table["part"] != CHOICE])
     choice = choice_table(table[[str(part).startswith((ALL, CHOICE)) for part in table["part"]]])
     lines = [*ablation_sentences(ablation), *choice_sentences(choice)]
-    notes = [*plan.notices, *tables.footnote(rows, [ALL])]
-    text = [f"# {experiment.title}\n", _LEGEND + "\n", tables.to_markdown(_short(ablation)) + "\n"]
-    text += ["## Chosen without the sequence\n", _CHOICE_LEGEND + "\n", tables.to_markdown(choice) + "\n"]
-    text += ["\n\n".join([*lines, *notes])]
-    stem = file_stem(experiment.name, plan, ensure_folder(results / "tables"))
+    stem = file_stem(experiment.name, plan, results / TABLES)
     files = [
         # Seconds differ from machine to machine: they are in the text, not in the table to compare.
         tables.write_table(ablation.drop(columns="seconds"), stem),
         tables.write_table(choice, stem.with_name(f"{stem.name}_choice")),
-        write_text("\n".join(text) + "\n", stem.with_name(f"{stem.name}.md")),
+        tables.write_markdown(
+            stem,
+            f"# {experiment.title}",
+            _LEGEND,
+            tables.to_markdown(_short(ablation)),
+            "## Chosen without the sequence",
+            _CHOICE_LEGEND,
+            tables.to_markdown(choice),
+            *lines,
+            *plan.notices,
+            *tables.footnote(rows, [ALL]),
+        ),
     ]
     views = [(experiment.title, tables.rounded(_short(ablation))), ("Left out in turn", tables.rounded(choice))]
     return Artefact(files, views, lines)
 
 
 def ablation_table(table: pd.DataFrame) -> pd.DataFrame:
-    """Return a row for each part of the ablation, in order.
+    """Return a row for each part of the ablation: ``part, seconds, AEPE [px], AAE [degrees]``, and by sequence.
 
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        From `tidy`, with ``part`` and ``seconds``.
-
-    Returns
-    -------
-    pandas.DataFrame
-        ``part, seconds, AEPE, AAE`` (means; degrees), then ``AEPE s`` and ``AAE s`` for each sequence s. A mean
-        over fewer sequences than planned would not be comparable: it is NaN.
+    A mean over fewer sequences than planned would not be comparable: it is NaN.
     """
     import pandas as pd
 
@@ -95,20 +92,11 @@ def ablation_table(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def choice_table(table: pd.DataFrame) -> pd.DataFrame:
-    """Choose a setting for each sequence by the other sequences, and one by all.
+    """Return ``sequence, setting, AEPE, AAE``: the setting for each sequence that is best on the others.
 
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        From `tidy`: every setting on every sequence. Of the part `CHOICE` each combination of what varies
-        in it is a setting, and every other part is one.
-
-    Returns
-    -------
-    pandas.DataFrame
-        ``sequence, setting, AEPE, AAE`` (degrees): a row for each sequence with the setting chosen on the others,
-        their mean as ``left out``, and the mean of the setting chosen on all as ``all in``. Errors are NaN and
-        settings empty where points failed.
+    Of the part `CHOICE` each combination of varying parameters is a setting; every other part is one. The row
+    ``left out`` has the means, ``all in`` the setting that is best on all. Where points failed, errors are NaN and
+    settings empty.
     """
     import pandas as pd
 
@@ -119,25 +107,21 @@ def choice_table(table: pd.DataFrame) -> pd.DataFrame:
     names = [label if part == CHOICE else part for part, label in zip(table["part"], labels, strict=True)]
     table = table.assign(setting=names, degrees=table["aae"] * (180.0 / math.pi))
     # Settings in the order of the grid: of equally good ones the first is taken.
-    aepe, aae = (
-        table.pivot(index="setting", columns="sequence", values=metric).loc[
-            list(dict.fromkeys(names)), list(dict.fromkeys(table["sequence"]))
-        ]
-        for metric in ("aepe", "degrees")
-    )
+    order = list(dict.fromkeys(names)), list(dict.fromkeys(table["sequence"]))
+    errors = table.pivot(index="setting", columns="sequence", values=["aepe", "degrees"])
+    aepe, aae = (errors[metric].loc[order] for metric in ("aepe", "degrees"))
     columns = ["sequence", "setting", "AEPE", "AAE"]
     choice = None if aepe.isna().any(axis=None) else leave_one_out(aepe)
     if choice is None:
-        return pd.DataFrame(
-            [[name, "", math.nan, math.nan] for name in (*aepe, "left out", "all in")], columns=columns
-        )
-    records: list[list[Any]] = []
-    for sequence, row in zip(aepe, choice.left_out, strict=True):
-        records.append([sequence, aepe.index[row], aepe[sequence].iloc[row], aae[sequence].iloc[row]])
+        unknown = [[name, "", math.nan, math.nan] for name in (*aepe, "left out", "all in")]
+        return pd.DataFrame(unknown, columns=columns)
+    records: list[list[Any]] = [
+        [sequence, aepe.index[row], aepe[sequence].iloc[row], aae[sequence].iloc[row]]
+        for sequence, row in zip(aepe, choice.left_out, strict=True)
+    ]
     means = [sum(record[i] for record in records) / len(records) for i in (2, 3)]
     best = aepe.index[choice.all_in]
-    records.append(["left out", "", *means])
-    records.append(["all in", best, aepe.loc[best].mean(), aae.loc[best].mean()])
+    records += [["left out", "", *means], ["all in", best, aepe.loc[best].mean(), aae.loc[best].mean()]]
     return pd.DataFrame(records, columns=columns)
 
 
@@ -147,18 +131,7 @@ def _short(ablation: pd.DataFrame) -> pd.DataFrame:
 
 
 def ablation_sentences(ablation: pd.DataFrame) -> list[str]:
-    """State the change by each ingredient alone, by leaving it out, and by adding it.
-
-    Parameters
-    ----------
-    ablation : pandas.DataFrame
-        From `ablation_table`.
-
-    Returns
-    -------
-    list of str
-        Sentences; none for errors that are not known.
-    """
+    """State the change of AEPE by each ingredient alone, left out, and on top, where these are known."""
     aepe = ablation.set_index("part")["AEPE"]
     effects: dict[str, list[str]] = {}
     for part, error in aepe.items():

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fracbench.data.files import ensure_folder
 from fracbench.harness.config.experiment import Experiment
 from fracbench.harness.run.plan import Plan
 from fracbench.harness.run.store import Row
@@ -18,53 +19,34 @@ if TYPE_CHECKING:
 
 #: A value counts as good as the best if its error is at most this much larger.
 FLAT = 0.02
-FIGURES = "figures"
+TABLES, FIGURES = "tables", "figures"
 #: Where pictures with Middlebury's frames in them go: the frames are not ours to publish.
 PRIVATE = "private"
 
 
 @dataclass
 class Artefact:
-    """The output of a renderer.
-
-    Attributes
-    ----------
-    files : list of Path
-        Files written.
-    views : list of (str, pandas.DataFrame)
-        Tables for the terminal, with their titles; cells are strings.
-    lines : list of str
-        Sentences for the terminal.
-    """
+    """The output of a renderer: files, tables of text with titles and sentences for the terminal."""
 
     files: list[Path] = field(default_factory=list)
     views: list[tuple[str, pd.DataFrame]] = field(default_factory=list)
     lines: list[str] = field(default_factory=list)
 
 
+#: A function of the experiment, its points, their rows by key, and the results folder.
 Renderer = Callable[[Experiment, Plan, Mapping[str, Row], Path], Artefact]
 
 
 def file_stem(name: str, plan: Plan, folder: Path) -> Path:
-    """Return an artefact's path without suffix; its name marks synthetic scenes and thinned grids."""
-    return folder / f"{name}{'_synthetic' if plan.stand_in else ''}{'_small' if plan.small else ''}"
+    """Make the folder and return a path in it, no suffix; the name marks synthetic scenes and thinned grids."""
+    return ensure_folder(folder) / f"{name}{'_synthetic' if plan.stand_in else ''}{'_small' if plan.small else ''}"
 
 
 def best_values(table: pd.DataFrame, names: list[str], numbers: list[str]) -> pd.DataFrame:
-    """Return for each combination of names where the errors are smallest, and how flat the minimum is.
+    """Return the values of `numbers` with the smallest errors, as text, for each combination of `names`.
 
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        Finished rows of a sweep.
-    names, numbers : list of str
-        Varying keys.
-
-    Returns
-    -------
-    pandas.DataFrame
-        Strings, for reading: the best values and errors; for one swept number the range within 2 % of the best.
-        ``any`` stands for a number that the method does not depend on.
+    For a single number, the range within 2 % of the best is added. ``any`` stands for a number that the method
+    does not depend on.
     """
     import pandas as pd
 

@@ -2,31 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, make_dataclass
 from typing import Any
 
 from fracbench.errors import InputError
 from fracbench.harness.config.experiment import Experiment
 from fracbench.harness.config.records import record
-
-
-@dataclass(frozen=True)
-class Nothing:
-    """For artefacts without options."""
-
-
-@dataclass(frozen=True)
-class Frames:
-    """Of ``frames``: names of sequences."""
-
-    sequences: list[str] | None = None
-
-
-@dataclass(frozen=True)
-class RegionBoxes:
-    """Of ``region_boxes``: names of regions."""
-
-    regions: list[str] | None = None
 
 
 @dataclass(frozen=True)
@@ -52,44 +33,6 @@ class Family:
 
 
 @dataclass(frozen=True)
-class AlphaRegions:
-    """Of ``alpha_regions``: the captions' values, by region."""
-
-    paper: Any = None  # checked where it is read, with the regions at hand
-
-
-@dataclass(frozen=True)
-class SolverStudy:
-    """Of ``solver_study``: the size of its systems and where its sweeps end."""
-
-    size: int | None = None
-    alpha_step: float | None = None
-    tol: float | None = None
-    limit: int | None = None
-
-
-@dataclass(frozen=True)
-class Convergence:
-    """Of ``convergence``: the problem, and the limits of the solvers."""
-
-    region: str | None = None
-    alphas: list[float] | None = None
-    gap: float | None = None
-    last_gap: float | None = None
-    seconds: float | None = None
-    iterations: int | None = None
-    reference_iterations: int | None = None
-
-
-@dataclass(frozen=True)
-class AlphaByStructure:
-    """Of ``alpha_by_structure``: the noise of the figure, and the paper's range of best alphas by structure."""
-
-    shown_noise: float | None = None
-    paper: Any = None  # checked where it is read
-
-
-@dataclass(frozen=True)
 class AdaptiveAlpha:
     """Of ``adaptive_alpha``: the side of a neighbourhood in pixels, and the number of sequences in the picture."""
 
@@ -101,59 +44,45 @@ class AdaptiveAlpha:
             raise InputError(f"option 'window' must be at least 1, 'shown' 0; got {self.window} and {self.shown}")
 
 
-_BY_ARTEFACT: dict[str, type] = {
-    "adaptive_alpha": AdaptiveAlpha,
-    "alpha_by_structure": AlphaByStructure,
-    "convergence": Convergence,
-    "frames": Frames,
-    "region_boxes": RegionBoxes,
-    "family": Family,
-    "alpha_regions": AlphaRegions,
-    "solver_study": SolverStudy,
+_BY_ARTEFACT: dict[str, type] = {"adaptive_alpha": AdaptiveAlpha, "family": Family}
+#: Types of the options of other artefacts. An artefact that is in neither dictionary has no options.
+_TYPES: dict[str, dict[str, Any]] = {
+    "frames": {"sequences": list[str] | None},
+    "region_boxes": {"regions": list[str] | None},
+    "alpha_regions": {"paper": Any},  # the captions' values, checked where the regions are at hand
+    "alpha_by_structure": {"shown_noise": float | None, "paper": Any},  # the paper's ranges, checked likewise
+    "solver_study": {"size": int | None, "alpha_step": float | None, "tol": float | None, "limit": int | None},
+    "convergence": {
+        "region": str | None,
+        "alphas": list[float] | None,
+        "gap": float | None,
+        "last_gap": float | None,
+        "seconds": float | None,
+        "iterations": int | None,
+        "reference_iterations": int | None,
+    },
 }
 
 
-def require_options(experiment: Experiment) -> None:
-    """Refuse options that the artefact does not know, or of another type.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        The experiment.
-
-    Raises
-    ------
-    InputError
-        An unknown option (the nearest is offered), or a value of another type.
-    """
-    _record(experiment)
+def require_options(experiment: Experiment) -> Any:
+    """Return the typed options of an experiment; refuse unknown ones and values of another type."""
+    artefact = experiment.artefact
+    fields = [(name, kind, None) for name, kind in _TYPES.get(artefact, {}).items()]
+    kind = _BY_ARTEFACT.get(artefact) or make_dataclass("Options", fields)
+    return record(kind, experiment.options, f"experiment {experiment.name}, options")
 
 
 def all_options(experiment: Experiment) -> dict[str, Any]:
-    """Return the options of an artefact that needs all of them.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        The experiment.
-
-    Returns
-    -------
-    dict
-        By name.
-
-    Raises
-    ------
-    InputError
-        As for `require_options`, or an option is missing.
-    """
-    options = vars(_record(experiment))
+    """Return the options, by name, of an artefact that needs all of them."""
+    options = vars(require_options(experiment))
     missing = [name for name, value in options.items() if value is None]
     if missing:
         raise InputError(f"experiment {experiment.name}: `options` must have {', '.join(missing)} as well")
     return options
 
 
-def _record(experiment: Experiment) -> Any:
-    kind = _BY_ARTEFACT.get(experiment.artefact, Nothing)
-    return record(kind, experiment.options, f"experiment {experiment.name}, options")
+def required_option(experiment: Experiment, name: str) -> Any:
+    """Return an option that the artefact needs."""
+    if name not in experiment.options:
+        raise InputError(f"experiment {experiment.name}: artefact {experiment.artefact} needs the option {name!r}")
+    return experiment.options[name]

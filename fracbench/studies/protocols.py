@@ -9,15 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fracbench.data.files import ensure_folder, write_text
 from fracbench.harness.config.experiment import Experiment
-from fracbench.harness.config.paths import asset
 from fracbench.harness.run.plan import Plan
 from fracbench.harness.run.store import Row
 from fracbench.harness.run.tidy import tidy
 from fracbench.studies import tables
-from fracbench.studies.base import Artefact, file_stem
-from fracbench.studies.paper.table2 import distance, versus_published
+from fracbench.studies.base import FIGURES, TABLES, Artefact, file_stem
+from fracbench.studies.paper.table2 import distance, printed_table, versus_published
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -26,24 +24,16 @@ if TYPE_CHECKING:
 
 def protocol_study(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
     """Show the distance to the printed Table 2 as switches are turned; see `fracbench.studies.base.Renderer`."""
-    import pandas as pd
-
     from fracbench.figures.cache import draw
 
-    published = pd.read_csv(asset("results/published/table2.csv"))
-    table = switch_table(tidy(plan, rows), published, experiment.grids)
+    table = switch_table(tidy(plan, rows), printed_table(), experiment.grids)
     lines = switch_sentences(table)
+    stem = file_stem(experiment.name, plan, results / TABLES)
     notes = [*plan.notices, *tables.footnote(rows, ["reference", "published"])]
-    text = [f"# {experiment.title}\n", _SWITCH_LEGEND + "\n", tables.to_markdown(table) + "\n"]
-    text += ["\n\n".join([*lines, *notes])]
-    drawn = file_stem(experiment.name, plan, ensure_folder(results / "figures"))
-    figure = draw(drawn, switch_dots, table, experiment.title)
-    stem = file_stem(experiment.name, plan, ensure_folder(results / "tables"))
-    files = [
-        tables.write_table(table, stem),
-        write_text("\n".join(text) + "\n", stem.with_name(f"{stem.name}.md")),
-    ]
-    return Artefact([*files, *figure], [(experiment.title, tables.rounded(table))], lines)
+    text = [f"# {experiment.title}", _SWITCH_LEGEND, tables.to_markdown(table), *lines, *notes]
+    drawn = draw(file_stem(experiment.name, plan, results / FIGURES), switch_dots, table, experiment.title)
+    files = [tables.write_table(table, stem), tables.write_markdown(stem, *text), *drawn]
+    return Artefact(files, [(experiment.title, tables.rounded(table))], lines)
 
 
 _SWITCH_LEGEND = (
@@ -55,22 +45,10 @@ _SWITCH_LEGEND = (
 
 
 def switch_table(table: pd.DataFrame, published: pd.DataFrame, grids: Mapping[str, Sequence[str]]) -> pd.DataFrame:
-    """Return a row for each part of the study, in order.
+    """Return a row for each part of the study; part ``a/b+c`` is part ``a`` with the switches b and c turned.
 
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        From `tidy`; the column ``part`` tells the settings apart.
-    published : pandas.DataFrame
-        Table 2 as printed.
-    grids : mapping of str to sequence of str
-        The overrides of each part. Part ``a/b`` is part ``a`` with the switch ``b`` turned, ``a/b+c`` with two.
-
-    Returns
-    -------
-    pandas.DataFrame
-        ``protocol, switch, set to``, distances (all, TV-L1, TV-L1-SB), numbers within 5 and 10 %, sequences on
-        which TV-L1-SB is better, mean AEPE [px]. Distances are NaN where points failed or nothing is printed.
+    Columns: ``protocol, switch, set to``, distances (all, TV-L1, TV-L1-SB), numbers within 5 and 10 %, sequences
+    on which TV-L1-SB is better, mean AEPE [px]. Distances are NaN where points failed or nothing is printed.
     """
     import pandas as pd
 
@@ -96,18 +74,7 @@ def switch_table(table: pd.DataFrame, published: pd.DataFrame, grids: Mapping[st
 
 
 def switch_sentences(table: pd.DataFrame) -> list[str]:
-    """Say which switch moves the distance most, and the effect of those turned together.
-
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        From `switch_table`.
-
-    Returns
-    -------
-    list of str
-        A sentence for each protocol; none where distances are not known.
-    """
+    """Say for each protocol which switch moves the distance most, and the effect of those turned together."""
     sentences = []
     for protocol, group in table.groupby("protocol", sort=False):
         start, turned = group[group["switch"] == ""], group[group["switch"] != ""]
@@ -128,26 +95,11 @@ def switch_sentences(table: pd.DataFrame) -> list[str]:
 
 #: Method, name, marker, and its face: an open one around the other shows both where they agree.
 _DOTS = (("tvl1", "TV-L1", "o", None), ("tvl1_sb", "TV-L1-SB", "s", "none"))
-
-
 _LINE = 0.5  # half the height of a line of text, in rows
 
 
 def switch_dots(table: pd.DataFrame, title: str) -> Figure:
-    """Draw the distance to Table 2 and the mean AEPE for each setting of the switches.
-
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        From `fracbench.studies.protocols.switch_table`.
-    title : str
-        Heading.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        A bar for the joint distance with a dot for each method; beside it the AEPE on a logarithmic axis.
-    """
+    """Draw the distance to Table 2, jointly and for each method, beside the mean AEPE, for each row of a table."""
     from fracbench.figures.style import PALETTE, house_style, new_figure, plain_ticks
 
     places, labels, place = [], [], 0.0

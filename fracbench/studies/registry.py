@@ -23,48 +23,6 @@ from fracbench.studies.solvers.solver_study import solver_study
 from fracbench.studies.structure.artefact import alpha_by_structure
 from fracbench.studies.sweep import sweep
 
-
-def render(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
-    """Draw an experiment's rows as the artefact it names.
-
-    Parameters
-    ----------
-    experiment : Experiment
-        The experiment.
-    plan : Plan
-        Its points.
-    rows : mapping of str to Row
-        Their rows, by key.
-    results : Path
-        The results folder.
-
-    Returns
-    -------
-    Artefact
-        Files, and tables and sentences for the terminal.
-
-    Raises
-    ------
-    InputError
-        An unknown renderer, or a folder that cannot be written.
-    """
-    return require_renderer(experiment)(experiment, plan, rows, results)
-
-
-def require_renderer(experiment: Experiment) -> Renderer:
-    """Return the renderer that an experiment names.
-
-    Raises
-    ------
-    InputError
-        There is none of that name, or its options are not as it needs them.
-    """
-    if experiment.artefact not in RENDERERS:
-        raise unknown_name("artefact", experiment.artefact, RENDERERS, f"experiment {experiment.name}")
-    require_options(experiment)
-    return RENDERERS[experiment.artefact]
-
-
 RENDERERS: dict[str, Renderer] = {
     "accurate_study": accurate_study,
     "adaptive_alpha": adaptive_alpha,
@@ -80,3 +38,16 @@ RENDERERS: dict[str, Renderer] = {
     "table1": table1,
     "table2": table2,
 }
+
+
+def require_renderer(experiment: Experiment) -> Renderer:
+    """Return the renderer that an experiment names; refuse an unknown one, and options that it does not have."""
+    if experiment.artefact not in RENDERERS:
+        raise unknown_name("artefact", experiment.artefact, RENDERERS, f"experiment {experiment.name}")
+    require_options(experiment)
+    return RENDERERS[experiment.artefact]
+
+
+def render(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
+    """Write the artefact that an experiment names from its points and their rows, by key."""
+    return require_renderer(experiment)(experiment, plan, rows, results)

@@ -1,4 +1,4 @@
-"""A sweep of one's own: the tidy table, the best values, and a plot over one or two swept numbers."""
+"""The sweep of a user: the tidy table, the best values, and a plot over one or two swept numbers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fracbench.data.files import ensure_folder
 from fracbench.harness.config.experiment import Experiment
 from fracbench.harness.run.plan import Plan
 from fracbench.harness.run.store import Row
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
 def sweep(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
     """Write the tidy table of any grid, and a plot where it has one; see `fracbench.studies.base.Renderer`."""
     table = tidy(plan, rows)
-    stem = file_stem(experiment.name, plan, ensure_folder(results / "sweeps"))
+    stem = file_stem(experiment.name, plan, results / "sweeps")
     artefact = Artefact()
     names, numbers = split_varying(table, plan)
     done = table[table["status"] == "done"]
@@ -63,14 +62,12 @@ def _sweep_figure(title: str, table: pd.DataFrame, names: list[str], numbers: li
     if not table["aepe"].notna().any():
         return None
     if len(numbers) == 1:
-        hue = None
-        if names:
-            hue = " / ".join(names)
+        hue = " / ".join(names) or None
+        if hue:
             table = table.assign(**{hue: table[names].astype(str).agg(", ".join, axis=1)})
         note = "where the operator is the identity" if numbers == ["alpha"] else ""
-        return alpha_curves(
-            table, x=numbers[0], hue=hue, title=title, logx=_is_logarithmic(table[numbers[0]]), zero_note=note
-        )
+        logx = _is_logarithmic(table[numbers[0]])
+        return alpha_curves(table, x=numbers[0], hue=hue, title=title, logx=logx, zero_note=note)
     if len(numbers) == 2 and not names:
         return heat_map(table, x=numbers[0], y=numbers[1], title=title)
     return None

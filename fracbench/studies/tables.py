@@ -18,20 +18,7 @@ if TYPE_CHECKING:
 
 
 def footnote(rows: Mapping[str, Row], protocols: Sequence[str]) -> list[str]:
-    """Return the footnote of a table: conventions, protocols, versions, commit.
-
-    Parameters
-    ----------
-    rows : mapping of str to Row
-        The rows the table is made of.
-    protocols : sequence of str
-        The protocols in it.
-
-    Returns
-    -------
-    list of str
-        Paragraphs.
-    """
+    """Return the footnote of a table as paragraphs: conventions, protocols, versions, commit."""
     origins = {_origin(row) for row in rows.values()}
     return [
         CONVENTIONS,
@@ -50,21 +37,13 @@ def _origin(row: Row) -> str:
 
 
 def write_table(table: pd.DataFrame, stem: Path) -> Path:
-    """Write a table as CSV, with all digits, atomically.
-
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        The table.
-    stem : Path
-        Path without suffix.
-
-    Returns
-    -------
-    Path
-        The file.
-    """
+    """Write a table as CSV, with all digits, to a path given without suffix."""
     return write_text(table.to_csv(index=False, lineterminator="\n"), stem.with_name(stem.name + ".csv"))
+
+
+def write_markdown(stem: Path, *paragraphs: str) -> Path:
+    """Write paragraphs, with a blank line between two, as the Markdown file of an artefact."""
+    return write_text("\n\n".join(paragraphs) + "\n", stem.with_name(f"{stem.name}.md"))
 
 
 def to_markdown(table: pd.DataFrame) -> str:
@@ -76,9 +55,8 @@ def to_latex(table: pd.DataFrame, caption: str) -> str:
     """Return a table as LaTeX (booktabs), numbers rounded for reading."""
     shown = rounded(table)
     columns = "ll" + "r" * (shown.shape[1] - 2)
-    return str(
-        shown.to_latex(index=False, escape=True, caption=caption.replace("_", r"\_"), column_format=columns)
-    )
+    caption = caption.replace("_", r"\_")
+    return str(shown.to_latex(index=False, escape=True, caption=caption, column_format=columns))
 
 
 def rounded(table: pd.DataFrame) -> pd.DataFrame:

@@ -17,7 +17,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fracbench.data.files import ensure_folder
 from fracbench.errors import InputError
 from fracbench.figures.panels import Curve, Panel, panel_grid
 from fracbench.figures.style import BEHIND, METRICS, PALETTE, equation, symbol
@@ -27,7 +26,7 @@ from fracbench.harness.run.plan import Plan
 from fracbench.harness.run.store import Row
 from fracbench.harness.run.tidy import tidy
 from fracbench.studies import tables
-from fracbench.studies.base import Artefact, best_values, file_stem
+from fracbench.studies.base import FIGURES, Artefact, best_values, file_stem
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -60,7 +59,7 @@ def alpha_regions(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], r
     if MAIN not in set(table["part"]):
         raise InputError(f"experiment {experiment.name}: artefact {experiment.artefact} needs the grid {MAIN!r}")
     story = _Regions(table, captions(experiment))
-    folder = ensure_folder(results / "figures")
+    folder = results / FIGURES
     artefact = Artefact(views=story.views())
     for kind in story.kinds():
         stem = file_stem(f"{experiment.name}{f'_{kind}' if kind else ''}", plan, folder)
@@ -75,23 +74,9 @@ def alpha_regions(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], r
 def regions_figure(
     table: pd.DataFrame, captions: Mapping[str, Mapping[str, float]], kind: str, title: str
 ) -> Figure:
-    """Draw one figure of the regions.
+    """Draw one figure of the regions from the tidy rows of all parts.
 
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        Tidy rows of all parts.
-    captions : mapping
-        The values in the paper's captions: ``lambda_sb``, ``aae``, ``aepe`` by region.
-    kind : str
-        ``""`` for the paper's, ``"context"`` or ``"protocols"``.
-    title : str
-        Heading.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        See `fracbench.figures.panels.panel_grid`.
+    `captions` is that of `captions`; `kind` is ``""`` for the paper's figure, ``"context"`` or ``"protocols"``.
     """
     story = _Regions(table, captions)
     compose = {"": story.main_panel, CONTEXT: story.context_panel, PROTOCOLS: story.protocols_panel}[kind]
@@ -100,35 +85,17 @@ def regions_figure(
 
 
 def captions(experiment: Experiment) -> dict[str, dict[str, float]]:
-    """Return what the captions say of each region of an experiment.
+    """Return by region the ``lambda_sb, aae, aepe`` of the captions: where the errors are smallest.
 
-    Parameters
-    ----------
-    experiment : Experiment
-        Its option ``paper`` has the best alpha by error. The best lambda_sb is that of ``conf/region``.
-
-    Returns
-    -------
-    dict of str to dict
-        ``lambda_sb``, ``aae`` and ``aepe`` by region.
-
-    Raises
-    ------
-    InputError
-        The option has another form, or names an unknown region.
+    The experiment's option ``paper`` has the best alpha by error; the best lambda_sb is that of ``conf/region``.
     """
     try:
         given = dict(experiment.options.get("paper", {}))
-        alphas = {region: {metric: float(said[metric]) for metric in METRICS} for region, said in given.items()}
-        return {
-            region: {SB: load_config({"region": region}).params.lambda_sb, **best}
-            for region, best in alphas.items()
-        }
+        alphas = {str(name): {metric: float(said[metric]) for metric in METRICS} for name, said in given.items()}
     except (TypeError, ValueError, KeyError) as exc:
-        if isinstance(exc, InputError):
-            raise
         wanted = "a mapping of regions to " + "{ " + ", ".join(f"{key}: NUMBER" for key in METRICS) + " }"
         raise InputError(f"experiment {experiment.name}: the option 'paper' must be {wanted}") from exc
+    return {name: {SB: load_config({"region": name}).params.lambda_sb, **best} for name, best in alphas.items()}
 
 
 class _Regions:
@@ -147,7 +114,7 @@ class _Regions:
         return self.table[(self.table["part"] == part) & (self.table["region"] == region)]
 
     def kinds(self) -> list[str]:
-        """Return the variants that can be drawn: see `regions_figure`."""
+        """Return the kinds of figure that can be drawn: see `regions_figure`."""
         return ["", *(part for part in (CONTEXT, PROTOCOLS) if self.has(part))]
 
     def band(self) -> pd.DataFrame:
@@ -160,7 +127,7 @@ class _Regions:
 
     def main_panel(self, region: str, metric: str) -> Panel:
         rows = self.part(MAIN, region)
-        said = self.captions.get(region, {})
+        said = self._caption(region)
         best = rows.loc[rows[metric].idxmin(), SB] if rows[metric].notna().any() else None
         curves = [
             Curve(part, f"other {symbol(SB)} in {rows[SB].min():g} to {rows[SB].max():g}", _OTHER)
@@ -189,42 +156,40 @@ class _Regions:
         rows = self.part(CONTEXT, region)
         boundary, pixels = rows["boundary"].iloc[0], rows["context"].iloc[0]
         label = f"boundary {boundary}, {pixels} pixels of context"
-        return Panel(
-            self._heading(region),
-            [
-                *self._caption_curve(region, "boundary zero, the region alone"),
-                Curve(rows, label, _BEST, starred=True, ringed=True),
-            ],
-            published=self.captions.get(region, {}).get(metric),
-        )
+        curves = self._caption_curve(region, "boundary zero, the region alone")
+        curves.append(Curve(rows, label, _BEST, starred=True, ringed=True))
+        return Panel(self._heading(region), curves, published=self._caption(region).get(metric))
 
     def protocols_panel(self, region: str, metric: str) -> Panel:
         curves = self._caption_curve(region, None, _BEST, starred=True)
         for i, (name, rows) in enumerate(self.part(PROTOCOLS, region).groupby("protocol", sort=False), start=1):
             look = _BEST | {"color": PALETTE[i % len(PALETTE)], "marker": "sD^v"[i % 4]}
             curves.append(Curve(rows, f"protocol {name}", look, starred=True))
-        return Panel(self._heading(region), curves, published=self.captions.get(region, {}).get(metric))
+        return Panel(self._heading(region), curves, published=self._caption(region).get(metric))
 
     def _caption_curve(
         self, region: str, label: str | None, look: Mapping[str, Any] = _CAPTION, *, starred: bool = False
     ) -> list[Curve]:
         """Return the curve of ``main`` at the caption's lambda_sb, if both are there."""
         rows = self.part(MAIN, region)
-        rows = rows[rows[SB] == self.captions.get(region, {}).get(SB)]
+        rows = rows[rows[SB] == self._caption(region).get(SB)]
         if not len(rows):
             return []
         return [Curve(rows, label or f"protocol {rows['protocol'].iloc[0]}", look, starred=starred)]
+
+    def _caption(self, region: str) -> Mapping[str, float]:
+        return self.captions.get(region, {})
 
     def _name(self, region: str) -> str:
         scene = self.scenes[region]
         return f"{region}: {scene}" if scene.startswith("synthetic") else region
 
     def _heading(self, region: str) -> str:
-        said = self.captions.get(region, {}).get(SB)
+        said = self._caption(region).get(SB)
         return self._name(region) if said is None else f"{self._name(region)}, {equation(SB, said)}"
 
     def views(self) -> list[tuple[str, pd.DataFrame]]:
-        """Return where the errors are smallest: over lambda_sb and alpha, then over alpha at the caption's."""
+        """Return the best values over lambda_sb and alpha, then over alpha at the caption's lambda_sb."""
         done = self.table[self.table["status"] == "done"]
         main = done["part"] == MAIN
         swept = best_values(done[main], ["region"], [SB, X])

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fracbench.data.datasets.registry import load_sequence
-from fracbench.data.files import ensure_folder
 from fracbench.errors import InputError, unknown_name
 from fracbench.harness.config.compose import SequenceConfig, load_config
 from fracbench.harness.config.experiment import Experiment
@@ -17,6 +16,7 @@ from fracbench.harness.run.tidy import tidy
 from fracbench.model.params import FlowParams
 from fracbench.studies import tables
 from fracbench.studies.base import FIGURES, PRIVATE, Artefact, best_values, file_stem
+from fracbench.studies.options import required_option
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -27,8 +27,9 @@ def frames(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results:
     from fracbench.figures.cache import draw
     from fracbench.figures.pictures import frame_panel
 
-    items = [_frame(load_config({"sequence": name}).sequence, plan) for name in _option(experiment, "sequences")]
-    stem = file_stem(experiment.name, plan, ensure_folder(results / PRIVATE))
+    names = required_option(experiment, "sequences")
+    items = [_frame(load_config({"sequence": name}).sequence, plan) for name in names]
+    stem = file_stem(experiment.name, plan, results / PRIVATE)
     return Artefact(draw(stem, frame_panel, items, columns=4, title=experiment.title))
 
 
@@ -42,7 +43,7 @@ def region_boxes(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], re
     pictures: dict[str, tuple[str, NDArray[Any]]] = {}
     boxes: dict[str, dict[str, tuple[int, int, int, int]]] = {}
     records = []
-    for name in _option(experiment, "regions"):
+    for name in required_option(experiment, "regions"):
         config = load_config({"region": name})
         region, key = config.region, config.sequence.key
         if region is None:
@@ -56,12 +57,10 @@ def region_boxes(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], re
         boxes.setdefault(key, {})[name.rpartition("_")[2]] = box
         bounds = dict(zip(("first_row", "stop_row", "first_column", "stop_column"), box, strict=True))
         records.append({"region": name, "picture": pictures[key][0], **bounds})
-    stem = file_stem(experiment.name, plan, ensure_folder(results / PRIVATE))
-    bounds_stem = file_stem(experiment.name, plan, ensure_folder(results / FIGURES))
+    stem = file_stem(experiment.name, plan, results / PRIVATE)
     table = pd.DataFrame(records)
-    shown = (list(pictures.values()), list(boxes.values()))
-    files = draw(stem, frame_panel, shown[0], boxes=shown[1], title=experiment.title)
-    files.append(tables.write_table(table, bounds_stem))
+    files = draw(stem, frame_panel, [*pictures.values()], boxes=[*boxes.values()], title=experiment.title)
+    files.append(tables.write_table(table, file_stem(experiment.name, plan, results / FIGURES)))
     return Artefact(files, [(experiment.title, table)])
 
 
@@ -84,8 +83,8 @@ def family(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results:
     from fracbench.figures.cache import draw
     from fracbench.figures.curves import line_family
 
-    options = dict(experiment.options)
-    x, hue = _option(experiment, "x"), _option(experiment, "family")
+    options = experiment.options
+    x, hue = required_option(experiment, "x"), required_option(experiment, "family")
     table = tidy(plan, rows)
     swept = [name for name in FlowParams.names() if name in table.columns]
     for name in (x, hue):
@@ -93,7 +92,7 @@ def family(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results:
             raise unknown_name("parameter", str(name), swept, f"experiment {experiment.name}, options")
     table = table[["protocol", "sequence", "method", hue, x, "aae", "aepe", "status"]]
     looks = {name: options[name] for name in ("styles", "shade", "logx", "logy") if name in options}
-    folder = ensure_folder(results / FIGURES)
+    folder = results / FIGURES
     artefact = Artefact()
     for protocol, part in table.groupby("protocol", sort=False):
         place = f"{', '.join(part['sequence'].unique())}, " if plan.stand_in else ""
@@ -104,10 +103,3 @@ def family(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results:
     best = best_values(table[table["status"] == "done"], ["protocol", "method"], [hue, x])
     artefact.views.append((f"Where the errors are smallest: {hue}, {x}", best))
     return artefact
-
-
-def _option(experiment: Experiment, name: str) -> Any:
-    """Return an option that a renderer requires."""
-    if name not in experiment.options:
-        raise InputError(f"experiment {experiment.name}: artefact {experiment.artefact} needs the option {name!r}")
-    return experiment.options[name]

@@ -14,7 +14,7 @@ from fracbench.harness.run.point import canonical_value
 from fracbench.harness.run.store import Row
 from fracbench.model.params import FlowParams, ParamInfo, public_name
 from fracbench.studies import tables
-from fracbench.studies.base import Artefact
+from fracbench.studies.base import TABLES, Artefact
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def table1(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
     """Write Table 1 from the typed record of the parameters; see `fracbench.studies.base.Renderer`."""
     table = parameter_table()
-    stem = ensure_folder(results / "tables") / experiment.name  # the same on any data and any grid
+    stem = ensure_folder(results / TABLES) / experiment.name  # the same on any data and any grid
     shown = table.assign(symbol=[f"${symbol}$" if symbol else "" for symbol in table["symbol"]])
     markdown = shown.to_markdown(index=False, disable_numparse=True)
     escaped = shown.apply(lambda column: column if column.name == "symbol" else column.map(_latex))
@@ -31,20 +31,17 @@ def table1(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results:
     latex = escaped.to_latex(index=False, escape=False, caption=caption, column_format="llp{6cm}lll")
     files = [
         tables.write_table(table, stem),
-        write_text(f"# {experiment.title}\n\n{markdown}\n", stem.with_name(f"{stem.name}.md")),
+        tables.write_markdown(stem, f"# {experiment.title}", markdown),
         write_text(latex, stem.with_name(f"{stem.name}.tex")),
     ]
     return Artefact(files, [(experiment.title, table.drop(columns="symbol"))])
 
 
 def parameter_table() -> pd.DataFrame:
-    """Return the record of every parameter, one row each.
+    """Return a row of text for each parameter.
 
-    Returns
-    -------
-    pandas.DataFrame
-        Strings: ``symbol`` (LaTeX), ``parameter`` (its name on the command line), ``meaning``, ``paper`` (the
-        range of Table 1, or the paper's words elsewhere), ``allowed``, ``default`` (`recommended`).
+    ``symbol`` (LaTeX), ``parameter`` (its name on the command line), ``meaning``, ``paper`` (the range of Table 1,
+    or the paper's words elsewhere), ``allowed``, ``default`` (`recommended`).
     """
     import pandas as pd
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fracbench.data.files import ensure_folder, write_text
+from fracbench.data.files import write_text
 from fracbench.harness.config.experiment import Experiment
 from fracbench.harness.config.paths import asset
 from fracbench.harness.run.plan import Plan
@@ -16,7 +16,7 @@ from fracbench.harness.run.store import Row
 from fracbench.harness.run.tidy import METRICS, tidy
 from fracbench.methods.registry import get_method
 from fracbench.studies import tables
-from fracbench.studies.base import Artefact, file_stem
+from fracbench.studies.base import TABLES, Artefact, file_stem
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -24,123 +24,73 @@ if TYPE_CHECKING:
 
 def table2(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
     """Write Table 2 as CSV, Markdown and LaTeX, a part a protocol; see `fracbench.studies.base.Renderer`."""
-    import pandas as pd
-
-    published = pd.read_csv(asset("results/published/table2.csv"))
-    comparison = versus_published(tidy(plan, rows), published)
-    stem = file_stem(experiment.name, plan, ensure_folder(results / "tables"))
+    comparison = versus_published(tidy(plan, rows), printed_table())
+    stem = file_stem(experiment.name, plan, results / TABLES)
     protocols = list(comparison["protocol"].unique())
     artefact = Artefact()
-    parts, latex = [f"# {experiment.title}\n"], []
+    text, latex = [f"# {experiment.title}"], []
     for protocol in protocols:
         table, sentences = wide(comparison, protocol), summary(comparison, protocol)
-        parts += [f"## Protocol `{protocol}`\n", tables.to_markdown(table) + "\n", "\n".join(sentences) + "\n"]
+        text += [f"## Protocol `{protocol}`", tables.to_markdown(table), "\n".join(sentences)]
         latex.append(tables.to_latex(table, f"{experiment.title} (protocol {protocol})"))
         artefact.views.append((f"{experiment.title}, protocol {protocol}", tables.rounded(table)))
         artefact.lines += [f"{protocol}: {sentence}" for sentence in sentences]
     notes = [*plan.notices, *tables.footnote(rows, protocols)]
-    parts.append("\n\n".join(notes) + "\n")
     latex += ["% " + line for line in notes]
     artefact.lines += notes
     # Written last, so that a table that cannot be laid out replaces none of them.
     artefact.files = [
         tables.write_table(comparison, stem),
-        write_text("\n".join(parts), stem.with_name(stem.name + ".md")),
+        tables.write_markdown(stem, *text, *notes),
         write_text("\n".join(latex) + "\n", stem.with_name(stem.name + ".tex")),
     ]
     return artefact
 
 
+def printed_table() -> pd.DataFrame:
+    """Return Table 2 as the paper prints it."""
+    import pandas as pd
+
+    return pd.read_csv(asset("results/published/table2.csv"))
+
+
 def versus_published(table: pd.DataFrame, published: pd.DataFrame) -> pd.DataFrame:
-    """Put the paper's numbers beside ours, one row a number.
+    """Put the paper's numbers beside ours: ``protocol, sequence, method, metric, published, ours, ratio``.
 
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        From `tidy`, with one row for each protocol, sequence and method.
-    published : pandas.DataFrame
-        Columns ``sequence, method, aae, aepe, sdae``.
-
-    Returns
-    -------
-    pandas.DataFrame
-        ``protocol, sequence, method, metric, published, ours, ratio``; `published` is NaN for a synthetic
-        scene, which the paper does not have.
+    `published` is NaN for a synthetic scene, which the paper does not have.
     """
     keys = ["sequence", "method"]
     ours = table.melt(["protocol", *keys], list(METRICS), "metric", "ours")
     theirs = published.melt(keys, list(METRICS), "metric", "published")
     both = ours.merge(theirs, on=[*keys, "metric"], how="left", validate="many_to_one")
     both["ratio"] = both["ours"] / both["published"]
-    order = {metric: i for i, metric in enumerate(METRICS)}
     # melt() goes through the metrics one by one: bring the numbers of a row together again.
-    both["_row"] = list(range(len(table))) * len(METRICS)
-    both["_metric"] = both["metric"].map(order)
-    both = both.sort_values(["_row", "_metric"]).reset_index(drop=True)
-    return both[["protocol", *keys, "metric", "published", "ours", "ratio"]]
+    rows = np.arange(len(both)).reshape(len(METRICS), -1).T.ravel()
+    return both[["protocol", *keys, "metric", "published", "ours", "ratio"]].iloc[rows].reset_index(drop=True)
 
 
 def distance(ratio: Any) -> float:
-    """Return the root mean square of ``ln(ours / published)``, the distance between two tables.
-
-    Parameters
-    ----------
-    ratio : array_like
-        Ratios ours / published.
-
-    Returns
-    -------
-    float
-        0 for equal tables; 0.1 is about 10 %. NaN if a ratio is.
-    """
+    """Return the root mean square of ``ln(ours / published)``: 0 for equal tables, 0.1 for about 10 %."""
     return float(np.sqrt(np.mean(np.log(np.asarray(ratio, np.float64)) ** 2)))
 
 
 def wide(comparison: pd.DataFrame, protocol: str) -> pd.DataFrame:
-    """Lay the comparison for one protocol out as the paper's table.
-
-    Parameters
-    ----------
-    comparison : pandas.DataFrame
-        From `versus_published`.
-    protocol : str
-        Which protocol.
-
-    Returns
-    -------
-    pandas.DataFrame
-        A row for each sequence and method; for each error the published number, ours, and their ratio.
-    """
+    """Lay the comparison for one protocol out as the paper's table: a row for each sequence and method."""
     import pandas as pd
 
     part = comparison[comparison["protocol"] == protocol]
     rows = []
     for (sequence, method), group in part.groupby(["sequence", "method"], sort=False):
         row: dict[str, Any] = {"sequence": sequence, "method": get_method(str(method)).label}
-        for metric, published, ours, ratio in zip(
-            group["metric"], group["published"], group["ours"], group["ratio"], strict=True
-        ):
-            name = metric.upper()
-            row.update({f"{name} paper": published, f"{name} ours": ours, f"{name} ratio": ratio})
+        for number in group.itertuples():
+            name = number.metric.upper()
+            row |= {f"{name} paper": number.published, f"{name} ours": number.ours, f"{name} ratio": number.ratio}
         rows.append(row)
     return pd.DataFrame(rows).dropna(axis="columns", how="all")
 
 
 def summary(comparison: pd.DataFrame, protocol: str) -> list[str]:
-    """Say in sentences how far a protocol is from the paper, and whether SB is better.
-
-    Parameters
-    ----------
-    comparison : pandas.DataFrame
-        From `versus_published`.
-    protocol : str
-        Which protocol.
-
-    Returns
-    -------
-    list of str
-        Sentences, computed from the numbers.
-    """
+    """Say in sentences how far a protocol is from the paper, and whether SB is better."""
     part = comparison[comparison["protocol"] == protocol]
     sentences = []
     if part["published"].notna().all():

@@ -8,18 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 from fracbench.data.datasets.registry import load_sequence
 from fracbench.data.datasets.synthetic.single_structure import SINGLE_STRUCTURE
-from fracbench.data.files import ensure_folder, write_text
 from fracbench.errors import InputError
 from fracbench.harness.config.experiment import Experiment
 from fracbench.harness.run.plan import Plan
 from fracbench.harness.run.store import Row
 from fracbench.harness.run.tidy import tidy
 from fracbench.studies import tables
-from fracbench.studies.base import FIGURES, PRIVATE, Artefact, file_stem
+from fracbench.studies.base import FIGURES, PRIVATE, TABLES, Artefact, file_stem
 from fracbench.studies.structure.tables import (
     ALL,
     BY_CLASS,
-    METRICS,
     SCENES,
     best_table,
     curve_table,
@@ -32,7 +30,7 @@ if TYPE_CHECKING:
 
 _LEGEND = (
     "`best` is the alpha with the smallest error relative to alpha = 1, in the geometric mean over seeds (scenes) "
-    "or sequences (classes of pixels, `{all}`: all of them), with the interval of 2000 bootstrap resamples. The "
+    f"or sequences (classes of pixels, `{ALL}`: all of them), with the interval of 2000 bootstrap resamples. The "
     "gain over alpha = 1, with Student's interval, is taken at the alpha that is best for the other half of the "
     "seeds or sequences: an alpha chosen on the same data always gains something. `paper`: section 4.2, where "
     "flat is close to 0, read as up to 0.3; `costs`: the best alpha in that range against the best of all. Under "
@@ -45,27 +43,22 @@ def alpha_by_structure(experiment: Experiment, plan: Plan, rows: Mapping[str, Ro
     from fracbench.figures.cache import draw
     from fracbench.studies.structure.figures import structure_panels
 
-    runs = tidy(plan, rows)
+    runs, paper = tidy(plan, rows), _paper(experiment)
     errors = long_table(runs)
-    best, curves = best_table(errors, _paper(experiment)), curve_table(errors)
-    lines = sentences(best)
+    best, curves = best_table(errors, paper), curve_table(errors)
+    shown, lines = _readable(best), sentences(best)
 
     def stem(kind: str, folder: str) -> Path:
-        return file_stem(f"{experiment.name}{kind}", plan, ensure_folder(results / folder))
+        return file_stem(f"{experiment.name}{kind}", plan, results / folder)
 
-    files = [tables.write_table(best, stem("", "tables")), tables.write_table(curves, stem("_curves", "tables"))]
-    shown = _readable(best)
-    legend = _LEGEND.format(all=ALL)
-    notes = [*plan.notices, *tables.footnote(rows, sorted(set(runs["protocol"])))]
-    text = [f"# {experiment.title}\n", legend + "\n", "\n".join(f"- {line}" for line in lines) + "\n"]
-    text += [tables.to_markdown(shown) + "\n", "\n\n".join(notes)]
-    markdown = stem("", "tables")
-    files.append(write_text("\n".join(text) + "\n", markdown.with_name(f"{markdown.name}.md")))
+    text = [f"# {experiment.title}", _LEGEND, "\n".join(f"- {line}" for line in lines), tables.to_markdown(shown)]
+    text += [*plan.notices, *tables.footnote(rows, sorted(set(runs["protocol"])))]
+    files = [tables.write_table(best, stem("", TABLES)), tables.write_table(curves, stem("_curves", TABLES))]
+    files.append(tables.write_markdown(stem("", TABLES), *text))
     for part, kind in ((SCENES, ""), (BY_CLASS, "_classes")):
         chosen = _of_figure(curves, part, experiment.options.get("shown_noise"))
         if len(chosen):
-            ranges = _paper(experiment)
-            files += draw(stem(kind, FIGURES), structure_panels, chosen, ranges, _heading(experiment, chosen))
+            files += draw(stem(kind, FIGURES), structure_panels, chosen, paper, _heading(experiment, chosen))
     files += _pictures(plan, stem)
     return Artefact(files, [(experiment.title, tables.rounded(shown))], lines)
 
@@ -82,7 +75,7 @@ def _paper(experiment: Experiment) -> dict[str, tuple[float, float]]:
 
 def _of_figure(curves: pd.DataFrame, part: str, noise: Any) -> pd.DataFrame:
     """Return the curves by AEPE of one part and one noise: the one asked for, or else the first."""
-    chosen = curves[(curves["part"] == part) & (curves["metric"] == METRICS[0])]
+    chosen = curves[(curves["part"] == part) & (curves["metric"] == "aepe")]
     wanted = chosen["noise"] == ("" if noise is None else f"{noise:g}")
     return chosen[wanted if wanted.any() else chosen["noise"].isin(chosen["noise"].head(1))]
 
@@ -119,20 +112,17 @@ def _pictures(plan: Plan, stem: Any) -> list[Path]:
     from fracbench.figures.pictures import frame_panel
     from fracbench.studies.structure.figures import CLASS_COLOURS, class_overlay
 
-    frames: dict[tuple[str, str], Any] = {}
-    for planned in plan.points:
-        dataset, name = planned.point.dataset, planned.point.sequence
-        if (dataset, name) not in frames:
-            loaded = load_sequence(name, dataset, plan.folder if dataset == "middlebury" else None)
-            frames[dataset, name] = class_overlay(loaded.frame0)
+    scenes = dict.fromkeys((planned.point.dataset, planned.point.sequence) for planned in plan.points)
+    title = f"Classes of pixels: {', '.join(f'{colour} {name}' for name, (colour, _) in CLASS_COLOURS.items())}"
     files: list[Path] = []
-    words = ", ".join(f"{colour} {name}" for name, (colour, _) in CLASS_COLOURS.items())
-    for dataset, folder, kind in (("synthetic", FIGURES, "_scenes"), ("middlebury", PRIVATE, "_frames")):
-        items = [(name, picture) for (of, name), picture in frames.items() if of == dataset]
-        items.sort(key=lambda item: SINGLE_STRUCTURE.index(item[0]) if item[0] in SINGLE_STRUCTURE else -1)
+    for dataset, kind, place, columns in (
+        ("synthetic", "_scenes", FIGURES, 3),
+        ("middlebury", "_frames", PRIVATE, 4),
+    ):
+        names = [name for of, name in scenes if of == dataset]
+        names.sort(key=lambda name: SINGLE_STRUCTURE.index(name) if name in SINGLE_STRUCTURE else -1)
+        folder = plan.folder if dataset == "middlebury" else None
+        items = [(name, class_overlay(load_sequence(name, dataset, folder).frame0)) for name in names]
         if items:
-            columns = 3 if dataset == "synthetic" else 4
-            files += draw(
-                stem(kind, folder), frame_panel, items, columns=columns, title=f"Classes of pixels: {words}"
-            )
+            files += draw(stem(kind, place), frame_panel, items, columns=columns, title=title)
     return files

@@ -18,36 +18,20 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 #: The word for a class's colour, and the colour.
-CLASS_COLOURS: Mapping[str, tuple[str, str]] = dict(
-    zip(
-        CLASSES,
-        (("gray", "#808080"), ("blue", PALETTE[0]), ("red", PALETTE[1]), ("green", PALETTE[2])),
-        strict=True,
-    )
-)
+_COLOURS = ("gray", "#808080"), ("blue", PALETTE[0]), ("red", PALETTE[1]), ("green", PALETTE[2])
+CLASS_COLOURS: Mapping[str, tuple[str, str]] = dict(zip(CLASSES, _COLOURS, strict=True))
 _ORDER = (*SINGLE_STRUCTURE, "all", *CLASSES)
 _BOUNDARIES = {"zero": (PALETTE[1], "s"), "reflect": (PALETTE[0], "o")}
-#: Ratios beyond are cut off: what matters is near 1.
+#: Ratios above this are cut off: the differences of interest are near 1.
 _TOP = 2.0
 _VEIL = 0.5
 
 
 def structure_panels(curves: pd.DataFrame, paper: Mapping[str, tuple[float, float]], title: str) -> Figure:
-    """Draw errors relative to alpha = 1 against alpha, a panel a structure.
+    """Draw errors relative to alpha = 1, a panel for each structure, in it a line with its interval by boundary.
 
-    Parameters
-    ----------
-    curves : pandas.DataFrame
-        From `fracbench.studies.structure.tables.curve_table`: one part, one noise, one error.
-    paper : mapping
-        The paper's range of best alphas by structure, which is shaded.
-    title : str
-        Heading.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        A line with its interval for each boundary; the smallest error of each is starred.
+    `curves`: one part, one noise and one error of `fracbench.studies.structure.tables.curve_table`. `paper`: the
+    range of best alphas by structure, which is shaded. Minima are starred.
     """
     names = sorted(curves["structure"].unique(), key=lambda name: (*_ORDER, name).index(name))
     columns = min(3, len(names))
@@ -69,11 +53,8 @@ def structure_panels(curves: pd.DataFrame, paper: Mapping[str, tuple[float, floa
             last.tick_params(labelbottom=True)
         for row in grid:
             row[0].set_ylabel("error / error at 1")
-        handles = {
-            label: handle
-            for ax in grid.flat
-            for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)
-        }
+        found = [zip(*ax.get_legend_handles_labels(), strict=True) for ax in grid.flat]
+        handles = {label: handle for pairs in found for handle, label in pairs}
         fig.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=3)
     return fig
 
@@ -98,7 +79,7 @@ def _draw_panel(ax: Axes, curves: pd.DataFrame, said: tuple[float, float] | None
 
 
 def class_overlay(frame: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Return a gray frame, 0..255, under a veil in the colours of its classes: ndarray of uint8, (H, W, 3)."""
+    """Return a gray frame, 0..255, under a veil in the colours of its classes: (H, W, 3) of uint8."""
     return veiled(frame, structure_classes(frame), [colour for _, colour in CLASS_COLOURS.values()])
 
 

@@ -27,18 +27,10 @@ AGREES, NEAR, DIFFERS = "agrees", f"within {FLAT:.0%}", "differs"
 
 
 def long_table(runs: pd.DataFrame) -> pd.DataFrame:
-    """Bring the rows of both parts into one form.
+    """Bring the rows of both parts into one form: ``part, structure, noise, boundary, unit, alpha, aepe, aae``.
 
-    Parameters
-    ----------
-    runs : pandas.DataFrame
-        From `fracbench.harness.run.tidy.tidy`.
-
-    Returns
-    -------
-    pandas.DataFrame
-        ``part, structure, noise, boundary, unit, alpha, aepe, aae``: a structure is a scene without its prefix, or
-        a class of pixels; a unit is a seed or a sequence. Errors of points that are not done are NaN.
+    A structure is a scene without its prefix, or a class of pixels; a unit is a seed or a sequence. Errors of
+    points that are not done are NaN.
     """
     import pandas as pd
 
@@ -58,18 +50,10 @@ def long_table(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def curve_table(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the mean errors, and those relative to alpha = 1 with their 95 % intervals.
+    """Return the mean errors of a `long_table`, and those relative to alpha = 1 with their 95 % intervals.
 
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        From `long_table`.
-
-    Returns
-    -------
-    pandas.DataFrame
-        ``part, structure, noise, boundary, metric, alpha, n, error, ratio, low, high``: `ratio` is the geometric
-        mean over units of error / error at alpha = 1, each of the same unit.
+    Columns: ``part, structure, noise, boundary, metric, alpha, n, error, ratio, low, high``. `ratio` is the
+    geometric mean over units of error / error at alpha = 1, each of the same unit.
     """
     import pandas as pd
 
@@ -82,23 +66,13 @@ def curve_table(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def best_table(table: pd.DataFrame, paper: Mapping[str, tuple[float, float]]) -> pd.DataFrame:
-    """Return the best alphas, their gains over alpha = 1, and their agreement with the paper.
+    """Return the best alphas of a `long_table`, their gains over alpha = 1, and their agreement with the paper.
 
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        From `long_table`.
-    paper : mapping
-        The paper's range of best alphas by structure.
-
-    Returns
-    -------
-    pandas.DataFrame
-        ``part, structure, noise, boundary, metric, n``; the ``best`` alpha with its bootstrap interval
-        ``best_low, best_high``; the mean ``error_at_1``; the ``gain`` over alpha = 1 in per cent with its
-        interval, alpha chosen on the other half of the units; ``paper_low, paper_high``, what the best alpha
-        between them ``costs`` against the best of all, in per cent, and the ``verdict``: ``agrees`` if the
-        intervals meet, else ``within 2 %`` if it costs no more, else ``differs``.
+    `paper` is the paper's range of best alphas by structure. Columns: ``part, structure, noise, boundary, metric,
+    n``; the ``best`` alpha with its bootstrap interval ``best_low, best_high``; the mean ``error_at_1``; the
+    ``gain`` over alpha = 1 in per cent with its interval, alpha chosen on the other half of the units; the range
+    ``paper_low, paper_high``; the extra error in per cent that the best alpha in that range ``costs``; and the
+    ``verdict``: ``agrees`` if the intervals meet, else ``within 2 %`` if it costs no more, else ``differs``.
     """
     import pandas as pd
 
@@ -129,18 +103,7 @@ def _against_paper(
 
 
 def sentences(best: pd.DataFrame) -> list[str]:
-    """State for each structure the best alpha over all noises and boundaries, and its gain.
-
-    Parameters
-    ----------
-    best : pandas.DataFrame
-        From `best_table`.
-
-    Returns
-    -------
-    list of str
-        One sentence a structure, by AEPE.
-    """
+    """State for each structure the best alpha by AEPE over all noises and boundaries, and its gain."""
     lines = []
     rows = best[best["metric"] == METRICS[0]]
     for (part, structure), found in rows.groupby(["part", "structure"], sort=False):

@@ -130,6 +130,12 @@ def test_captions_that_cannot_be_read_are_refused(tmp_path, fake_rows, paper):
     assert files(tmp_path) == []
 
 
+def test_a_region_of_the_captions_that_is_no_text_is_refused():
+    experiment = Experiment("mine", "Mine", "alpha_regions", {}, {"paper": {1: {"aae": 1, "aepe": 1}}})
+    with pytest.raises(InputError, match="unknown region '1'"):
+        captions(experiment)
+
+
 # -- panels --------------------------------------------------------------------------------------
 
 
