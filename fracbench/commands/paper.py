@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from fracbench.commands import console
 from fracbench.commands.run import run_plan, say_cost, say_failures
 from fracbench.harness.config.experiment import Experiment, list_experiments, load_experiment
-from fracbench.harness.run.plan import Plan, plan_experiment
+from fracbench.harness.run.plan import Plan, plan_artefact, plan_experiment
 from fracbench.harness.run.store import STORE, Store
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def report(
     wanted = EXPERIMENTS if beyond else PAPER
     experiments = {name: load_experiment(name) for name in wanted if name in list_experiments()}
     plans = {
-        name: plan_experiment(experiment.grids, settings, allow_download=not dry_run, small=small)
+        name: plan_artefact(experiment, settings, allow_download=not dry_run, small=small)
         for name, experiment in experiments.items()
     }
     workers = start.config.parallel.jobs if jobs is None else jobs

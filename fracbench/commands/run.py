@@ -12,7 +12,7 @@ from fracbench.errors import InputError
 from fracbench.harness.config.experiment import Experiment
 from fracbench.harness.config.grid import parse_overrides
 from fracbench.harness.run import sweep
-from fracbench.harness.run.plan import Plan, make_plan, plan_experiment
+from fracbench.harness.run.plan import Plan, make_plan, plan_artefact
 from fracbench.harness.run.store import RUNS, STORE, Store
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ def run_experiment(
     """
     if jobs is not None:
         require_workers(jobs)
-    plan = plan_experiment(experiment.grids, settings, allow_download=not dry_run, small=small)
+    plan = plan_artefact(experiment, settings, allow_download=not dry_run, small=small)
     for notice in plan.notices:
         console.note(f"note: {notice}")
     workers = jobs or plan.config.parallel.jobs

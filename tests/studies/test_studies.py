@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -13,7 +14,7 @@ import pytest
 from fracbench.errors import InputError
 from fracbench.harness.config.experiment import load_experiment
 from fracbench.harness.config.paths import asset
-from fracbench.harness.run.plan import plan_experiment
+from fracbench.harness.run.plan import plan_artefact, plan_experiment
 from fracbench.studies import registry
 from fracbench.studies.protocols import protocol_study, switch_dots, switch_sentences, switch_table
 from fracbench.studies.solvers.solver_study import (
@@ -22,9 +23,10 @@ from fracbench.studies.solvers.solver_study import (
     solver_study,
     solver_summary,
     spectra_table,
+    spectrum_points,
 )
 from fracbench.studies.solvers.solver_study_figure import solver_panels
-from fracbench.studies.solvers.spectral_radius import jacobi_limit
+from fracbench.studies.solvers.spectral_radius import jacobi_limit, spectrum
 
 METRICS = ["aae", "aepe", "sdae"]
 GRIDS = {
@@ -192,8 +194,20 @@ def test_sentences_compare_with_the_limit_and_with_the_paper():
     )
 
 
+def spectra(**options):
+    """The spectra of the systems of `PAIRS`, which have their regions' captions, by the worker's function."""
+    experiment = dataclasses.replace(
+        load_experiment("solver_study"), grids={"main": ["region=grove2_A,urban3_A"]}, options=options
+    )
+    plan = plan_experiment(experiment.grids, ["dataset=synthetic"], allow_download=False)
+    points = spectrum_points(experiment, plan)
+    rows = {each.point.key: SimpleNamespace(result=spectrum(each.point, None)) for each in points}
+    return spectra_table(dataclasses.replace(plan, points=(*plan.points, *points)), rows)
+
+
 def test_spectra_are_those_of_each_regions_system():
-    table = spectra_table(PAIRS, size=10, alpha_step=0.5, tol=1e-6, limit=500)
+    table = spectra(size=10, alpha_step=0.5, tol=1e-6, limit=500)
+    assert table.drop_duplicates("region").set_index("region")[["theta", "lambda_sb"]].equals(PAIRS)
     assert table["region"].tolist() == ["grove2_A"] * 5 + ["urban3_A"] * 5
     assert table["alpha"].tolist() == [0.0, 0.5, 1.0, 1.5, 2.0] * 2
     first = table[table["region"] == "grove2_A"]
@@ -211,10 +225,10 @@ def test_spectra_are_those_of_each_regions_system():
 
 def test_panels_show_spectra_and_errors():
     made = runs()
-    spectra = spectra_table(PAIRS, size=6, alpha_step=1.0, tol=1e-3, limit=50)
+    found = spectra(size=6, alpha_step=1.0, tol=1e-3, limit=50)
     summary = solver_summary(made, PAIRS, PRINTED)
-    jacobi, _, counts, grove, urban = solver_panels(spectra, made, summary, "Title").axes
-    np.testing.assert_allclose(jacobi.lines[0].get_ydata(), spectra["jacobi radius"][:3])
+    jacobi, _, counts, grove, urban = solver_panels(found, made, summary, "Title").axes
+    np.testing.assert_allclose(jacobi.lines[0].get_ydata(), found["jacobi radius"][:3])
     assert len(counts.lines) == 4 and np.isnan(counts.lines[0].get_ydata()[-1])
     assert [ax.get_title() for ax in (grove, urban)] == ["grove2_A", "urban3_A"]
     verticals = {line.get_label(): line.get_xdata()[0] for line in urban.lines if len(line.get_xdata()) == 2}
@@ -249,7 +263,7 @@ def test_options_of_the_study_are_checked(options, message):
 
 
 def small_plan(experiment):
-    return plan_experiment(experiment.grids, ["dataset=synthetic"], allow_download=False, small=True)
+    return plan_artefact(experiment, ["dataset=synthetic"], allow_download=False, small=True)
 
 
 def test_the_protocol_study_leaves_its_files(tmp_path, fake_rows, unwritten):
@@ -282,11 +296,10 @@ def test_the_solver_study_leaves_its_files(tmp_path, fake_rows, unwritten):
     stems |= {f"tables/solver_study_{kind}_synthetic_small": ("csv",) for kind in ("runs", "spectra")}
     expected = sorted(f"{stem}.{suffix}" for stem, suffixes in stems.items() for suffix in suffixes)
     assert sorted(str(path.relative_to(tmp_path)) for path in artefact.files) == expected
-    assert len(pd.read_csv(tmp_path / "tables/solver_study_runs_synthetic_small.csv")) == len(plan.points)
-    assert (
-        pd.read_csv(tmp_path / "tables/solver_study_spectra_synthetic_small.csv")["alpha"].tolist()
-        == [0, 1, 2] * 2
-    )
+    table = pd.read_csv(tmp_path / "tables/solver_study_spectra_synthetic_small.csv")
+    assert table["alpha"].tolist() == [0, 1, 2] * 2 and table["jacobi radius"].isna().all()  # of made-up rows
+    runs = pd.read_csv(tmp_path / "tables/solver_study_runs_synthetic_small.csv")
+    assert len(runs) + len(table) == len(plan.points)
     text = (tmp_path / "tables/solver_study_synthetic_small.md").read_text()
     assert all(line in text for line in artefact.lines) and "6 x 6 pixels" in text
 

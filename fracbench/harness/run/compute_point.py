@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pkgutil
 import time
 import traceback
 from collections.abc import Callable
@@ -21,7 +22,7 @@ from fracbench.evaluation.class_errors import errors_by_class
 from fracbench.evaluation.metrics import flow_errors
 from fracbench.harness.run import provenance
 from fracbench.harness.run.message import Outcome
-from fracbench.harness.run.point import Point
+from fracbench.harness.run.point import MEASURES, Point
 from fracbench.harness.run.provenance import peak_mib, reset_peak
 from fracbench.methods.paper import energy_growth
 from fracbench.methods.registry import get_method
@@ -64,6 +65,8 @@ def run_point(point: Point, folder: Path | None, guard: Guard = nullcontext) -> 
 
 
 def _compute(point: Point, folder: Path | None, machine: dict[str, Any], guard: Guard) -> Outcome:
+    if point.score in MEASURES:
+        return _measure(point, folder, machine, guard)
     frame0, frame1, truth, inner = point_arrays(point, folder)
     if truth is None:
         raise InputError(f"sequence {point.sequence}: has no true flow to compare with")
@@ -97,6 +100,16 @@ def _compute(point: Point, folder: Path | None, machine: dict[str, Any], guard: 
     peak = peak_mib()
     error = _divergence(point.method, frame0, frame1, flow_result.flow, params, result["stop"], errors.n_nonfinite)
     return Outcome("done" if error is None else "diverged", error, result, seconds, peak, machine)
+
+
+def _measure(point: Point, folder: Path | None, machine: dict[str, Any], guard: Guard) -> Outcome:
+    measure = pkgutil.resolve_name(MEASURES[point.score])
+    _warm_up(point.method, point.params)
+    reset_peak()
+    started = time.perf_counter()
+    with threadpool_limits(1), guard():  # a measure may have loaded further libraries
+        result = measure(point, folder)
+    return Outcome("done", None, result, time.perf_counter() - started, peak_mib(), machine)
 
 
 def _divergence(

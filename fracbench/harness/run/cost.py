@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from statistics import median
 from typing import Any
 
 from fracbench.data.datasets.registry import DATASETS
-from fracbench.harness.run.point import Point
+from fracbench.harness.run.point import MEASURES, Point
 from fracbench.harness.run.store import Row
 
 #: Used until the store holds a point of the method: seconds a pixel, one thread.
@@ -36,14 +36,19 @@ def expected_seconds(points: Iterable[Point], rows: Iterable[Row], jobs: int) ->
     speeds: dict[str, list[float]] = {}
     for row in rows:
         if row.status == "done" and row.seconds:
-            speeds.setdefault(row.spec["method"], []).append(row.seconds / pixels(row.spec))
+            speeds.setdefault(_kind(row.spec), []).append(row.seconds / pixels(row.spec))
     seconds, measured = [], True
     for point in points:
-        known = speeds.get(point.method)
+        known = speeds.get(_kind(point.spec))
         measured = measured and bool(known)
         seconds.append(pixels(point.spec) * (median(known) if known else ROUGH_SECONDS_PER_PIXEL))
     # No number of processes makes the longest point shorter.
     return max(sum(seconds) / jobs, max(seconds, default=0.0)), measured
+
+
+def _kind(spec: Mapping[str, Any]) -> str:
+    score = spec.get("score")
+    return score if score in MEASURES else spec["method"]
 
 
 def pixels(spec: Any) -> int:

@@ -24,6 +24,7 @@ from fracbench.data.datasets.registry import get_dataset
 from fracbench.errors import RESUME, FracbenchError, InputError
 from fracbench.harness.run import provenance
 from fracbench.harness.run.message import Job
+from fracbench.harness.run.point import NO_DATA, Point
 from fracbench.harness.run.pool import Ended
 from fracbench.harness.run.store import Row, Store
 from fracbench.model import SOLVER_VERSION
@@ -197,8 +198,12 @@ def _connect(address: str | None) -> Any:
         ) from exc
 
 
+def _contents(point: Point) -> Any:
+    return None if point.dataset == NO_DATA else get_dataset(point.dataset).contents
+
+
 def _files(job: Job) -> Mapping[str, bytes]:
-    contents = get_dataset(job.point.dataset).contents
+    contents = _contents(job.point)
     return {} if contents is None else contents(job.point.sequence, job.folder)
 
 
@@ -212,7 +217,7 @@ def _compute(job: Job, files: Mapping[str, bytes], topic: str) -> bool:
         )
     if files:
         _unpack(job, files)
-    elif get_dataset(job.point.dataset).contents and not compute_point.holds(job.point.data_digest):
+    elif _contents(job.point) and not compute_point.holds(job.point.data_digest):
         return False
     with _wanted():
         _work(job, topic)

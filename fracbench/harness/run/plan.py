@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pkgutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -12,10 +13,17 @@ from fracbench.data.datasets.registry import get_dataset, list_sequences, shape_
 from fracbench.data.regions import Region, shifted
 from fracbench.errors import InputError, unknown_name
 from fracbench.harness.config.compose import GROUPS, PARALLEL, RunConfig, group_options, known_keys, load_config
+from fracbench.harness.config.experiment import Experiment
 from fracbench.harness.config.grid import Axis, Grid, expand_names, parse_overrides
 from fracbench.harness.config.numbers import MAX_POINTS
 from fracbench.harness.run.point import Point, canonical_value
 
+#: The artefacts that show measures, and the functions that plan these: ``"module:function"``, called as
+#: ``function(experiment, plan)``, which return planned points.
+_MEASURED = {
+    "convergence": "fracbench.studies.solvers.convergence_study:convergence_points",
+    "solver_study": "fracbench.studies.solvers.solver_study:spectrum_points",
+}
 #: Keys that cannot be swept.
 _FOR_ALL = ("dataset", "paths.data", "paths.results", "parallel", *PARALLEL)
 
@@ -170,6 +178,17 @@ def plan_experiment(
         folder=real.folder,
         stand_in=any(plan.stand_in for plan in plans.values()),
     )
+
+
+def plan_artefact(
+    experiment: Experiment, settings: Sequence[str] = (), *, allow_download: bool = True, small: bool = False
+) -> Plan:
+    """Plan all that the artefact of an experiment needs: the points of its grids, and its measures."""
+    plan = plan_experiment(experiment.grids, settings, allow_download=allow_download, small=small)
+    if experiment.artefact not in _MEASURED:
+        return plan
+    measured = pkgutil.resolve_name(_MEASURED[experiment.artefact])
+    return replace(plan, points=(*plan.points, *measured(experiment, plan)))
 
 
 def _expand_globs(grid: Grid) -> Grid:

@@ -14,6 +14,15 @@ from fracbench.methods.registry import get_method
 from fracbench.model import SOLVER_VERSION
 from fracbench.model.params import FlowParams
 
+#: Measures, the scores that are not errors of a flow, and the functions that compute them: ``"module:function"``,
+#: called as ``function(point, folder)``, which return a row's result. Studies own them; only workers import them.
+MEASURES = {
+    "spectrum": "fracbench.studies.solvers.spectral_radius:spectrum",
+    "convergence": "fracbench.studies.solvers.linearised_problem:courses",
+}
+#: The dataset and the sequence of a point that needs no data.
+NO_DATA = "none"
+
 #: Parameters younger than stored results, with the values that leave these as they are: no part of a key.
 _YOUNGER = {"texture": "0", "occlusion": "median"}
 
@@ -41,7 +50,9 @@ class Point:
     seed : int
         Of a rendered scene.
     score : str
-        ``"frame"``, or ``"structure"`` for errors by class of pixels as well.
+        ``"frame"``, ``"structure"`` for errors by class of pixels as well, or one of `MEASURES`.
+    options : tuple of (str, value)
+        Settings of a measure; values are numbers or tuples of numbers.
     """
 
     method: str
@@ -54,6 +65,7 @@ class Point:
     noise: float = 0.0
     seed: int = 0
     score: str = "frame"
+    options: tuple[tuple[str, Any], ...] = ()
 
     @cached_property
     def canonical(self) -> dict[str, str]:
@@ -63,9 +75,10 @@ class Point:
 
     @property
     def spec(self) -> dict[str, Any]:
-        """The canonical form, without the data's content; noise, seed, score and `_YOUNGER` only where unusual."""
-        usual = {"noise": "0", "seed": 0, "score": "frame"}
+        """The canonical form, without the data's content; noise to options, and `_YOUNGER`, only where unusual."""
+        usual: dict[str, Any] = {"noise": "0", "seed": 0, "score": "frame", "options": {}}
         values = {"noise": canonical_value(self.noise), "seed": self.seed, "score": self.score}
+        values["options"] = {name: _canonical_option(value) for name, value in self.options}
         region = self.region
         return {
             **{name: value for name, value in values.items() if value != usual[name]},
@@ -97,6 +110,10 @@ def canonical_value(value: Any) -> str:
     if isinstance(value, int | float):
         return canonical_number(repr(value)) or repr(value)
     return str(value)
+
+
+def _canonical_option(value: Any) -> str | list[str]:
+    return [canonical_value(item) for item in value] if isinstance(value, tuple) else canonical_value(value)
 
 
 def _sha256(value: Any) -> str:

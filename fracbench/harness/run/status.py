@@ -10,7 +10,7 @@ from typing import Any
 from fracbench.errors import InputError
 from fracbench.harness.config.experiment import load_experiment
 from fracbench.harness.run import sweep
-from fracbench.harness.run.plan import plan_experiment
+from fracbench.harness.run.plan import plan_artefact
 from fracbench.harness.run.store import Store
 
 _COMMANDS = {"table": "table", "fig": "figure"}
@@ -76,7 +76,7 @@ def standing(name: str, settings: Sequence[str], store: Store) -> Standing:
         With an error where the experiment cannot be planned.
     """
     try:
-        plan = plan_experiment(load_experiment(name).grids, settings, allow_download=False)
+        plan = plan_artefact(load_experiment(name), settings, allow_download=False)
     except InputError as exc:
         return Standing(name, error=str(exc))
     report, todo = sweep.missing(plan, store)

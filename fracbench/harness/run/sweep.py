@@ -17,7 +17,7 @@ from fracbench.harness.run import provenance
 from fracbench.harness.run.cost import pixels
 from fracbench.harness.run.message import Job, Outcome
 from fracbench.harness.run.plan import Plan
-from fracbench.harness.run.point import Point
+from fracbench.harness.run.point import MEASURES, Point
 from fracbench.harness.run.pool import LocalPool, Pool
 from fracbench.harness.run.store import Row, Store
 from fracbench.model import SOLVER_VERSION
@@ -188,7 +188,7 @@ class _Sweep:
         self._folder = None if plan.folder is None else plan.folder.resolve()
         self._timeout, self._commit = plan.config.parallel.timeout, provenance.commit()
         # The longest go first, so that no worker is left with one of them in the end.
-        self._waiting = deque(sorted(todo, key=lambda key: -pixels(todo[key].spec)))
+        self._waiting = deque(sorted(todo, key=lambda key: _turn(todo[key])))
         self._retries: deque[str] = deque()
         self._attempts = Counter[str]()
         self._under_way: set[str] = set()
@@ -266,6 +266,10 @@ class _Sweep:
             self._store.put(row)
         self._claims.release(key)
         yield row, True
+
+
+def _turn(point: Point) -> tuple[bool, int]:
+    return point.score not in MEASURES, -pixels(point.spec)  # some measures take as long as many flows
 
 
 def claims_folder(store: Path) -> Path:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from fracbench.harness.run.plan import Plan
+from fracbench.harness.run.point import MEASURES
 from fracbench.harness.run.store import Row
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ RESULT_COLUMNS = (*METRICS, *COUNTS)
 
 
 def tidy(plan: Plan, rows: Mapping[str, Row]) -> pd.DataFrame:
-    """Return one row a planned point: labels, parameters, errors, iterations, how it ended.
+    """Return one row a planned flow: labels, parameters, errors, iterations, how it ended.
 
     Parameters
     ----------
@@ -41,8 +42,9 @@ def tidy(plan: Plan, rows: Mapping[str, Row]) -> pd.DataFrame:
     import pandas as pd
 
     records = []
-    blank = dict.fromkeys((label for planned in plan.points for label in planned.labels), "")
-    for planned in plan.points:
+    points = [planned for planned in plan.points if planned.point.score not in MEASURES]
+    blank = dict.fromkeys((label for planned in points for label in planned.labels), "")
+    for planned in points:
         row = rows.get(planned.point.key)
         result = row.result if row else {}
         record: dict[str, Any] = {**blank, **planned.labels, **planned.point.canonical}

@@ -3,32 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from fracbench.data.files import ensure_folder, write_text
 from fracbench.harness.config.experiment import Experiment
-from fracbench.harness.run.plan import Plan, make_plan
+from fracbench.harness.run.plan import Plan, PlannedPoint, make_plan
 from fracbench.harness.run.store import RUNS, Row
+from fracbench.model.params import FlowParams
 from fracbench.studies import tables
 from fracbench.studies.base import Artefact, file_stem
 from fracbench.studies.options import all_options
+from fracbench.studies.solvers.linearised_problem import DEFAULT, LITERAL, SOLVERS
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-    from fracbench.studies.solvers.linearised_problem import Problem
-
 
 def convergence(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
-    """Run the solvers and draw their courses; see `fracbench.studies.base.Renderer`."""
+    """Draw the courses of the solvers; see `fracbench.studies.base.Renderer`."""
     from fracbench.figures.style import save_figure
 
     options = all_options(experiment)
-    courses, literal = measure(options, plan)
+    courses, literal = stored_courses(plan, rows)
+    if courses.empty:
+        return Artefact(lines=["No point is done: there is nothing to draw."])
     summary = summarise(courses, options["gap"], literal)
     title = f"{experiment.title}\n{options['region']}, {plan.dataset}"
     stem = file_stem(experiment.name, plan, ensure_folder(results / RUNS / "convergence"))
@@ -50,61 +51,47 @@ _LEGEND = (
 )
 
 
-def problems(region: str, alphas: list[float], plan: Plan) -> dict[float, Problem]:
-    """Return the region's problem for each order, linearised at the flow of the recommended method."""
-    from fracbench.harness.run.compute_point import point_arrays
-    from fracbench.methods.registry import get_method
-    from fracbench.model.params import FlowParams
-    from fracbench.model.pyramid import stretch
-    from fracbench.studies.solvers.linearised_problem import linearised_problem
-
+def convergence_points(experiment: Experiment, plan: Plan) -> list[PlannedPoint]:
+    """Return a point for each order: every solver on the region's problem."""
+    options = all_options(experiment)
     same_data = [f"dataset={plan.dataset}"]
     if plan.folder is not None:
         same_data.append(f"paths.data='{plan.folder}'")
-    point = make_plan((f"region={region}", "protocol=reference", *same_data)).points[0].point
-    frame0, frame1, _, _ = point_arrays(point, plan.folder)
-    own = get_method(point.method).estimate(frame0, frame1, FlowParams()).flow
-    frame0, frame1 = stretch(frame0, frame1, np.dtype(np.float64))
-    model = {name: point.canonical[name] for name in ("lambda", "theta", "lambda_sb", "boundary")}
-    return {
-        alpha: linearised_problem(frame0, frame1, own, FlowParams().replace({**model, "alpha": alpha}))
-        for alpha in alphas
-    }
+    (planned,) = make_plan((f"region={options['region']}", "protocol=reference", *same_data)).points
+    names = ("lambda", "theta", "lambda_sb", "boundary")
+    model = {name: planned.point.canonical[name] for name in names}
+    limits = tuple((name, options[name]) for name in ("last_gap", "seconds", "iterations", "reference_iterations"))
+    return [
+        replace(
+            planned,
+            point=replace(
+                planned.point,
+                params=FlowParams().replace({**model, "alpha": alpha}),
+                score="convergence",
+                options=limits,
+            ),
+        )
+        for alpha in options["alphas"]
+    ]
 
 
-def measure(options: Mapping[str, Any], plan: Plan) -> tuple[pd.DataFrame, dict[float, float]]:
-    """Run every solver on every problem.
+def stored_courses(plan: Plan, rows: Mapping[str, Row]) -> tuple[pd.DataFrame, dict[float, float]]:
+    """Return the courses, and by alpha the seconds that a sweep by double sums takes longer than a dense one.
 
-    Parameters
-    ----------
-    options : mapping
-        Of the experiment.
-    plan : Plan
-        The plan whose data are used.
-
-    Returns
-    -------
-    courses : pandas.DataFrame
-        ``alpha, solver, iteration, u_steps, seconds, gap``.
-    literal : dict
-        By alpha, seconds that a sweep by the printed double sums takes longer than one with dense matrices.
+    Columns of the courses: ``alpha, solver, iteration, u_steps, seconds, gap``.
     """
     import pandas as pd
-    from threadpoolctl import threadpool_limits
 
-    from fracbench.studies.solvers.linearised_problem import SOLVERS, course, minimum, sweep_seconds
-
-    limits = {"gap": options["last_gap"], "seconds": options["seconds"], "iterations": options["iterations"]}
     records, literal = [], {}
-    with threadpool_limits(1):
-        for alpha, problem in problems(options["region"], options["alphas"], plan).items():
-            least = minimum(problem, options["reference_iterations"])
-            for name, solver in SOLVERS.items():
-                records += [(alpha, name, *record) for record in course(problem, solver, least, **limits)]
-            dense, slow = sweep_seconds(problem.start.shape[1:], problem.params)
+    for planned in plan.points:
+        row, alpha = rows.get(planned.point.key), planned.point.params.alpha
+        if row is not None and row.status == "done":
+            for name in SOLVERS:
+                records += [(alpha, name, *record) for record in row.result["courses"][name]]
+            dense, slow = row.result["sweep_seconds"]
             literal[alpha] = slow - dense
     columns = ["alpha", "solver", "iteration", "u_steps", "seconds", "gap"]
-    return pd.DataFrame.from_records(records, columns=columns), literal
+    return pd.DataFrame.from_records(records, columns=columns).astype({"gap": "float"}), literal
 
 
 def summarise(courses: pd.DataFrame, gap: float, literal: Mapping[float, float]) -> pd.DataFrame:
@@ -112,12 +99,10 @@ def summarise(courses: pd.DataFrame, gap: float, literal: Mapping[float, float])
 
     Parameters
     ----------
-    courses : pandas.DataFrame
-        From `measure`.
+    courses, literal
+        From `stored_courses`.
     gap : float
         Relative gap.
-    literal : mapping
-        From `measure`.
 
     Returns
     -------
@@ -126,8 +111,6 @@ def summarise(courses: pd.DataFrame, gap: float, literal: Mapping[float, float])
         the least gap that was.
     """
     import pandas as pd
-
-    from fracbench.studies.solvers.linearised_problem import DEFAULT, LITERAL
 
     records = []
     for alpha, of_alpha in courses.groupby("alpha", sort=False):

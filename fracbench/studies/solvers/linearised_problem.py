@@ -6,12 +6,16 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fracbench.harness.run.compute_point import point_arrays
+from fracbench.harness.run.point import Point
 from fracbench.methods.paper import split_bregman_alpha, v_step
+from fracbench.methods.registry import get_method
 from fracbench.model.data_terms.brightness import Brightness
 from fracbench.model.energy import energy
 from fracbench.model.kernels.arrays import Array
@@ -19,6 +23,7 @@ from fracbench.model.kernels.pointwise import threshold
 from fracbench.model.operators.choose import make_operator
 from fracbench.model.operators.zero import gl_weights
 from fracbench.model.params import FlowParams
+from fracbench.model.pyramid import stretch
 from fracbench.model.sweeps import gauss_seidel_dense, gauss_seidel_literal
 from fracbench.model.warping import Linearization
 
@@ -58,6 +63,24 @@ class Problem:
     linear: Linearization
     start: Array
     params: FlowParams
+
+
+def courses(point: Point, folder: Path | None) -> dict[str, Any]:
+    """Run every solver on a point's problem, linearised at the flow of its method with default parameters.
+
+    The point's options are those of `course`, and `reference_iterations` for the minimum. The result holds the
+    `courses` by solver and the `sweep_seconds`.
+    """
+    frame0, frame1, _, _ = point_arrays(point, folder)
+    own = get_method(point.method).estimate(frame0, frame1, FlowParams()).flow
+    problem = linearised_problem(*stretch(frame0, frame1, np.dtype(np.float64)), own, point.params)
+    options = dict(point.options)
+    least = minimum(problem, options.pop("reference_iterations"))
+    limits = {"gap": options.pop("last_gap"), **options}
+    return {
+        "courses": {name: course(problem, solver, least, **limits) for name, solver in SOLVERS.items()},
+        "sweep_seconds": sweep_seconds(problem.start.shape[1:], problem.params),
+    }
 
 
 def linearised_problem(frame0: Array, frame1: Array, at: Array, params: FlowParams) -> Problem:

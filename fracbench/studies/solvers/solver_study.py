@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from fracbench.data.files import ensure_folder, write_text
+from fracbench.data.regions import Region
 from fracbench.harness.config.experiment import Experiment, load_experiment
-from fracbench.harness.run.plan import Plan
+from fracbench.harness.run.plan import Plan, PlannedPoint
+from fracbench.harness.run.point import NO_DATA, Point
 from fracbench.harness.run.store import Row
 from fracbench.harness.run.tidy import tidy
+from fracbench.model.params import FlowParams
 from fracbench.studies import tables
 from fracbench.studies.base import Artefact, file_stem
 from fracbench.studies.options import all_options
 from fracbench.studies.paper.alpha_regions import CAPTIONED, captions
+from fracbench.studies.solvers.spectral_radius import SWEEPS, jacobi_limit
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -45,7 +50,7 @@ def solver_study(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], re
     def stem(kind: str, folder: str = "tables") -> Path:
         return file_stem(experiment.name + kind, plan, ensure_folder(results / folder))
 
-    spectra, spectra_files = _kept_spectra(stem("_spectra"), pairs, options)
+    spectra = spectra_table(plan, rows)
     size, notes = options["size"], [*plan.notices, *tables.footnote(rows, ["reference"])]
     text = [
         f"# {experiment.title}\n",
@@ -57,25 +62,12 @@ def solver_study(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], re
     text += [tables.to_markdown(_side_by_side(spectra)) + "\n", "\n\n".join(notes)]
     files = [
         tables.write_table(summary, stem("")),
-        *spectra_files,
+        tables.write_table(spectra, stem("_spectra")),
         tables.write_table(runs[_COLUMNS], stem("_runs")),
         write_text("\n".join(text) + "\n", stem("").with_name(f"{stem('').name}.md")),
         *draw(stem("", "figures"), solver_panels, spectra, runs, summary, experiment.title),
     ]
     return Artefact(files, [(experiment.title, _short(summary))], lines)
-
-
-def _kept_spectra(stem: Path, pairs: pd.DataFrame, options: Mapping[str, Any]) -> tuple[pd.DataFrame, list[Path]]:
-    """Return the table of `spectra_table` and its file, which is read where it holds these very spectra."""
-    import pandas as pd
-
-    from fracbench.figures.cache import keep
-    from fracbench.studies.solvers.spectral_radius import SWEEPS
-
-    path = stem.with_name(f"{stem.name}.csv")
-    files = keep([path], (pairs, options), lambda: tables.write_table(spectra_table(pairs, **options), stem))
-    counts = {f"{sweep} sweeps": "Int64" for sweep in SWEEPS}
-    return pd.read_csv(path, dtype=counts), files
 
 
 _SOLVER_LEGEND = (
@@ -89,49 +81,53 @@ _SPECTRA_LEGEND = (
 )
 
 
-def spectra_table(pairs: pd.DataFrame, *, size: int, alpha_step: float, tol: float, limit: int) -> pd.DataFrame:
-    """Compute how fast the sweeps converge for each region's u-system and alpha from 0 to 2.
+def spectrum_points(experiment: Experiment, plan: Plan) -> list[PlannedPoint]:
+    """Return a point for each region and each alpha from 0 to 2: the spectra of the u-system of a square."""
+    options = all_options(experiment)
+    step, size = options["alpha_step"], options["size"]
+    alphas = np.round(np.arange(0.0, 2.0 + step / 2.0, step), 6)
+    square = Region("square", NO_DATA, (0, size), (0, size))
+    first = {planned.labels["region"]: planned for planned in reversed(plan.points)}
+    points = []
+    for planned in reversed(first.values()):
+        method, params = planned.point.method, planned.point.params
+        for alpha in alphas.tolist():
+            system = {"alpha": alpha, "theta": params.theta, "lambda_sb": params.lambda_sb, "boundary": "zero"}
+            point = Point(
+                method,
+                FlowParams().replace(system),
+                dataset=NO_DATA,
+                sequence=NO_DATA,
+                region=square,
+                context=0,
+                data_digest="",
+                score="spectrum",
+                options=(("tol", options["tol"]), ("limit", options["limit"])),
+            )
+            points.append(replace(planned, point=point))
+    return points
 
-    Parameters
-    ----------
-    pairs : pandas.DataFrame
-        ``theta, lambda_sb`` by region.
-    size : int
-        Pixels a side: the system is that of a square image.
-    alpha_step : float
-        Step of the grid of alpha.
-    tol : float
-        Relative residual to be reached.
-    limit : int
-        Largest number of sweeps.
 
-    Returns
-    -------
-    pandas.DataFrame
-        ``region, theta, lambda_sb, alpha``, and for each sweep its ``radius`` (four digits) and ``sweeps`` (empty
-        where the tolerance is not reached).
+def spectra_table(plan: Plan, rows: Mapping[str, Row]) -> pd.DataFrame:
+    """Return how fast the sweeps converge for each region's u-system and alpha.
+
+    Columns: ``region, theta, lambda_sb, alpha``, and for each sweep its ``radius`` (four digits) and ``sweeps``
+    (empty where the tolerance is not reached); both are empty where a point is not done.
     """
     import pandas as pd
 
-    from fracbench.model.operators.zero import left_derivative_matrix
-    from fracbench.studies.solvers.spectral_radius import SWEEPS, spectral_radius, sweeps_needed
-
-    v = np.random.default_rng(0).normal(size=(size, size))
     records = []
-    for alpha in np.round(np.arange(0.0, 2.0 + alpha_step / 2.0, alpha_step), 6):
-        t = left_derivative_matrix(float(alpha), size)
-        normal = t.T @ t
-        for region, (theta, mu) in pairs.iterrows():
-            record: dict[str, Any] = {"region": region, "theta": theta, "lambda_sb": mu, "alpha": alpha}
+    for planned in plan.points:
+        point, row = planned.point, rows.get(planned.point.key)
+        if point.score == "spectrum":
+            record: dict[str, Any] = {"region": planned.labels["region"]}
+            record |= {name: getattr(point.params, name) for name in ("theta", "lambda_sb", "alpha")}
             for sweep in SWEEPS:
-                system = (sweep, normal, normal, float(theta), float(mu))
-                # The radius is found to four digits: more would only differ from machine to machine.
-                record[f"{sweep} radius"] = float(f"{spectral_radius(*system):.4g}")
-                record[f"{sweep} sweeps"] = sweeps_needed(*system, v, tol=tol, limit=limit)
+                for name in (f"{sweep} radius", f"{sweep} sweeps"):
+                    record[name] = row.result.get(name) if row is not None else None
             records.append(record)
-    table = pd.DataFrame(records).astype({f"{sweep} sweeps": "Int64" for sweep in SWEEPS})
-    order = {region: i for i, region in enumerate(pairs.index)}
-    return table.sort_values("region", key=lambda names: names.map(order), kind="stable", ignore_index=True)
+    table = pd.DataFrame(records).astype({f"{sweep} radius": "float" for sweep in SWEEPS})
+    return table.astype({f"{sweep} sweeps": "Int64" for sweep in SWEEPS})
 
 
 def printed_alphas() -> dict[str, dict[str, float]]:
@@ -162,8 +158,6 @@ def solver_summary(
     """
     import pandas as pd
 
-    from fracbench.studies.solvers.spectral_radius import jacobi_limit
-
     records = []
     for region, (theta, mu) in pairs.iterrows():
         record: dict[str, Any] = {"region": region, "theta": theta, "lambda_sb": mu}
@@ -191,10 +185,11 @@ def _short(summary: pd.DataFrame) -> pd.DataFrame:
 def _side_by_side(spectra: pd.DataFrame) -> pd.DataFrame:
     """Return the spectra for reading: a row an alpha, a column a region."""
     cells = {}
-    for sweep in ("jacobi", "gauss_seidel"):
+    for sweep in SWEEPS:
         counts = spectra[f"{sweep} sweeps"].astype("object").where(spectra[f"{sweep} sweeps"].notna(), "none")
         cells[sweep] = spectra[f"{sweep} radius"].map("{:.3f}".format) + " (" + counts.astype(str) + ")"
-    shown = spectra.assign(cell=cells["jacobi"] + " / " + cells["gauss_seidel"])
+    known = spectra["jacobi radius"].notna()
+    shown = spectra.assign(cell=(cells["jacobi"] + " / " + cells["gauss_seidel"]).where(known, ""))
     shown["alpha"] = shown["alpha"].map("{:g}".format)
     return shown.pivot_table("cell", "alpha", "region", aggfunc="first", sort=False).reset_index()
 

@@ -8,13 +8,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy.optimize
 import scipy.sparse.linalg
 
 from fracbench.errors import unknown_name
+from fracbench.harness.run.point import Point
 from fracbench.model.kernels.arrays import Array, Float64Array
+from fracbench.model.operators.zero import left_derivative_matrix
 from fracbench.model.sweeps import gauss_seidel_dense, jacobi_sweep
 
 SWEEPS = ("jacobi", "gauss_seidel")
@@ -138,6 +142,25 @@ def sweeps_needed(
         if not residual < _LOST:
             return None
     return None
+
+
+def spectrum(point: Point, folder: Path | None) -> dict[str, Any]:
+    """Return both sweeps' radius, and their count to a tolerance from noise, on the system of a square image.
+
+    The point's region is the square; its options are `tol` and `limit`.
+    """
+    assert point.region is not None
+    params, size = point.params, point.region.shape[0]
+    v = np.random.default_rng(0).normal(size=(size, size))
+    t = left_derivative_matrix(params.alpha, size)
+    normal = t.T @ t
+    found: dict[str, Any] = {}
+    for sweep in SWEEPS:
+        system = (sweep, normal, normal, params.theta, params.lambda_sb)
+        # The radius is found to four digits: more would only differ from machine to machine.
+        found[f"{sweep} radius"] = float(f"{spectral_radius(*system):.4g}")
+        found[f"{sweep} sweeps"] = sweeps_needed(*system, v, **dict(point.options))
+    return found
 
 
 def _sweeper(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from fracbench.harness.config.experiment import load_experiment
-from fracbench.harness.run.plan import plan_experiment
+from fracbench.harness.run.plan import plan_artefact
 from fracbench.model.params import FlowParams
 from fracbench.studies.registry import render
 from fracbench.studies.solvers.convergence_study import summarise
@@ -16,6 +18,7 @@ from fracbench.studies.solvers.linearised_problem import (
     LITERAL,
     SOLVERS,
     course,
+    courses,
     energy_at,
     linearised_problem,
     minimum,
@@ -79,15 +82,17 @@ def test_the_table_compares_at_the_gap_that_was_reached():
     assert table.loc[LITERAL[slow], ["seconds", "ratio"]].tolist() == [64.0, 128.0]
 
 
-def test_the_experiment_writes_its_artefact(tmp_path):
+def test_the_experiment_writes_its_artefact(tmp_path, fake_rows):
     experiment = load_experiment("convergence")
-    few = {"alphas": [1.2], "seconds": 0.2, "iterations": 3, "reference_iterations": 20}
-    experiment = type(experiment)(
-        experiment.name, experiment.title, experiment.artefact, experiment.grids, {**experiment.options, **few}
-    )
-    plan = plan_experiment(experiment.grids, ("dataset=synthetic", f"paths.results='{tmp_path}'"))
-    made = render(experiment, plan, {}, tmp_path)
+    few = {"alphas": [1.2], "seconds": 2, "iterations": 3, "reference_iterations": 20}
+    experiment = replace(experiment, options={**experiment.options, **few})
+    plan = plan_artefact(experiment, ("dataset=synthetic", f"paths.results='{tmp_path}'"))
+    (planned,) = plan.points
+    result = courses(planned.point, plan.folder)
+    made = render(experiment, plan, fake_rows(plan, result=result), tmp_path)
     assert {path.suffix for path in made.files} == {".csv", ".md", ".png", ".pdf"}
     assert all(path.parent == tmp_path / "runs" / "convergence" for path in made.files)
-    courses = pd.read_csv(made.files[0])
-    assert set(courses["solver"]) == set(SOLVERS) and (courses["iteration"] <= 3).all()
+    table = pd.read_csv(made.files[0])
+    assert set(table["solver"]) == set(SOLVERS) and (table["iteration"] <= 3).all()
+    failed = render(experiment, plan, fake_rows(plan, status="failed"), tmp_path)
+    assert not failed.files and failed.lines == ["No point is done: there is nothing to draw."]
