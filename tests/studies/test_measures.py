@@ -8,9 +8,10 @@ import pkgutil
 import pytest
 
 from fracbench.commands.cli import main
+from fracbench.errors import FracbenchError
 from fracbench.harness.config.experiment import load_experiment
-from fracbench.harness.run import point, sweep
-from fracbench.harness.run.plan import plan_artefact
+from fracbench.harness.run import compute_point, point, sweep
+from fracbench.harness.run.plan import make_plan, plan_artefact
 from fracbench.harness.run.store import STORE, Store
 from fracbench.harness.run.tidy import tidy
 from fracbench.studies.registry import render
@@ -103,13 +104,25 @@ def test_a_measure_that_fails_is_a_row_and_an_empty_cell(small, store, unwritten
     assert "0.000 (1) / 0.000 (1)" in text and "nan" not in text
 
 
+def test_a_refusal_of_a_measure_is_the_text_of_its_row(monkeypatch):
+    (planned,) = make_plan(["sequence=synthetic_edge", "method=tvl1_sb_alpha", "n_scales=1"]).points
+    monkeypatch.setitem(point.MEASURES, "oracle", "fracbench.studies.alpha_map.oracle:_refuse")
+
+    def refuse(given, folder):
+        raise FracbenchError("not today")
+
+    monkeypatch.setattr("fracbench.studies.alpha_map.oracle._refuse", refuse, raising=False)
+    outcome = compute_point.run_point(dataclasses.replace(planned.point, score="oracle"), None)
+    assert (outcome.status, outcome.error) == ("failed", "not today")
+
+
 def test_every_measure_has_a_place():
     assert all(callable(pkgutil.resolve_name(home)) for home in point.MEASURES.values())
 
 
 @pytest.mark.parametrize(
     ("name", "score", "n"),
-    [("solver_study", "spectrum", 126), ("convergence", "convergence", 4)],
+    [("solver_study", "spectrum", 126), ("convergence", "convergence", 4), ("adaptive_alpha", "oracle", 8)],
 )
 def test_the_projects_experiments_plan_theirs(name, score, n):
     plan = plan_artefact(load_experiment(name), SCENES, allow_download=False)

@@ -21,6 +21,7 @@ from fracbench.harness.run.point import Point, canonical_value
 #: The artefacts that show measures, and the functions that plan these: ``"module:function"``, called as
 #: ``function(experiment, plan)``, which return planned points.
 _MEASURED = {
+    "adaptive_alpha": "fracbench.studies.alpha_map.artefact:oracle_points",
     "convergence": "fracbench.studies.solvers.convergence_study:convergence_points",
     "solver_study": "fracbench.studies.solvers.solver_study:spectrum_points",
 }

@@ -19,6 +19,7 @@ from fracbench.model.params import FlowParams
 MEASURES = {
     "spectrum": "fracbench.studies.solvers.spectral_radius:spectrum",
     "convergence": "fracbench.studies.solvers.linearised_problem:courses",
+    "oracle": "fracbench.studies.alpha_map.oracle:bounds",
 }
 #: The dataset and the sequence of a point that needs no data.
 NO_DATA = "none"

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fracbench.data.files import ensure_folder, write_text
 from fracbench.errors import InputError
 from fracbench.harness.config.experiment import Experiment
-from fracbench.harness.run.plan import Plan
-from fracbench.harness.run.point import Point
-from fracbench.harness.run.store import RUNS, Row
+from fracbench.harness.run.plan import Plan, PlannedPoint
+from fracbench.harness.run.store import Row
 from fracbench.harness.run.tidy import tidy
 from fracbench.studies import tables
-from fracbench.studies.alpha_map.oracle import compute_oracle, load_maps, load_oracle, oracle_file
 from fracbench.studies.alpha_map.tables import (
     BY_CLASS,
     ESTIMATES,
@@ -48,12 +47,11 @@ SPREAD = "The single order with the least error over the pixels of each class."
 
 
 def adaptive_alpha(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
-    """Compute the bounds and write everything; see `fracbench.studies.base.Renderer`."""
+    """Write the tables, the figure and the pictures; see `fracbench.studies.base.Renderer`."""
     for part in (SINGLE, BY_CLASS, ORACLE):
         if part not in experiment.grids:
             raise InputError(f"experiment {experiment.name}: the grid `{part}` is missing")
-    _compute_missing(experiment, plan, rows, results)
-    oracles = stored_oracles(experiment, plan, results)
+    oracles = stored_oracles(plan, rows)
     table = adaptive_table(tidy(plan, rows), oracles)
     lines, confusion, spread = adaptive_sentences(table, oracles), confusion_table(oracles), class_orders(oracles)
     stem = file_stem(experiment.name, plan, ensure_folder(results / "tables"))
@@ -73,7 +71,7 @@ def adaptive_alpha(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], 
         write_text(latex, stem.with_name(f"{stem.name}.tex")),
     ]
     files += _figure(experiment, plan, results, table, confusion)
-    files += _order_pictures(experiment, plan, results, oracles)
+    files += _order_pictures(experiment, plan, rows, results)
     return Artefact(files, [(experiment.title, tables.rounded(wide(table, "aepe")))], lines)
 
 
@@ -94,46 +92,40 @@ def options(experiment: Experiment) -> AdaptiveAlpha:
     return AdaptiveAlpha(**experiment.options)
 
 
-def stored_oracles(experiment: Experiment, plan: Plan, results: Path) -> Oracles:
-    """Return the bounds by sequence that have been computed; None for the others.
-
-    Parameters
-    ----------
-    experiment, plan, results
-        See `fracbench.studies.base.Renderer`.
-
-    Returns
-    -------
-    mapping
-        See `fracbench.studies.alpha_map.oracle.compute_oracle`.
-    """
-    folder, window = results / RUNS / "oracles", options(experiment).window
-    return {name: load_oracle(points, window, folder) for name, points in _oracle_points(plan).items()}
-
-
-def _oracle_points(plan: Plan) -> dict[str, list[Point]]:
-    found: dict[str, list[Point]] = {}
+def oracle_points(experiment: Experiment, plan: Plan) -> list[PlannedPoint]:
+    """Return a point a sequence: its bounds, from the single orders of the part `ORACLE`."""
+    by_sequence: dict[str, list[PlannedPoint]] = {}
     for planned in plan.points:
         if planned.labels["part"] == ORACLE:
-            found.setdefault(planned.labels["sequence"], []).append(planned.point)
-    return found
-
-
-def _compute_missing(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> None:
-    """Compute the bounds of the sequences whose points are all done; a kept one is not computed again."""
-    from fracbench.harness.run.pool import parallel_map
-
-    flows, folder = (ensure_folder(results / RUNS / name).resolve() for name in ("flows", "oracles"))
+            by_sequence.setdefault(planned.labels["sequence"], []).append(planned)
     window = options(experiment).window
-    todo = [
-        (points, plan.folder, flows, window, folder)
-        for points in _oracle_points(plan).values()
-        if all(point.key in rows and rows[point.key].status == "done" for point in points)
-        and not oracle_file(points, window, folder).is_file()
+    return [
+        replace(
+            singles[0],
+            point=replace(
+                singles[0].point,
+                score="oracle",
+                options=(("alphas", tuple(each.point.params.alpha for each in singles)), ("window", window)),
+            ),
+        )
+        for singles in by_sequence.values()
     ]
-    jobs = plan.config.parallel.jobs
-    for _ in parallel_map(compute_oracle, todo, jobs, "the bounds that are finished are kept"):
-        pass
+
+
+def stored_oracles(plan: Plan, rows: Mapping[str, Row]) -> Oracles:
+    """Return the bounds by sequence (see `oracle.bounds`); None unless they and their single orders are done."""
+    unfinished = {
+        planned.labels["sequence"]
+        for planned in plan.points
+        if planned.labels["part"] == ORACLE
+        and ((row := rows.get(planned.point.key)) is None or row.status != "done")
+    }
+    bounds = {planned.labels["sequence"]: planned.point.key for planned in _bounds(plan)}
+    return {name: None if name in unfinished else rows[key].result for name, key in bounds.items()}
+
+
+def _bounds(plan: Plan) -> list[PlannedPoint]:
+    return [planned for planned in plan.points if planned.point.score == "oracle"]
 
 
 def wide(table: pd.DataFrame, column: str) -> pd.DataFrame:
@@ -169,26 +161,33 @@ def _figure(
     return draw(stem, gain_panels, table, confusion, experiment.title)
 
 
-def _order_pictures(experiment: Experiment, plan: Plan, results: Path, oracles: Oracles) -> list[Path]:
+def _order_pictures(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> list[Path]:
     """Paint the first sequences' classes and orders; they hold frames of Middlebury, so they are private."""
     from fracbench.figures.cache import draw
     from fracbench.figures.pictures import frame_panel
     from fracbench.studies.alpha_map.figures import order_pictures, order_title
 
-    names = [name for name, found in oracles.items() if found is not None][: options(experiment).shown]
-    items = [item for name in names for item in _maps(name, experiment, plan, results)]
+    oracles = stored_oracles(plan, rows)
+    bounds = [planned for planned in _bounds(plan) if oracles[planned.labels["sequence"]] is not None]
+    items = [
+        item
+        for planned in bounds[: options(experiment).shown]
+        for item in _maps(planned, rows[planned.point.key].result, plan.folder)
+    ]
     if not items:
         return []
     stem = file_stem(f"{experiment.name}_orders", plan, ensure_folder(results / PRIVATE))
     return draw(stem, frame_panel, order_pictures(items), columns=3, title=order_title(items[0][-1]))
 
 
-def _maps(name: str, experiment: Experiment, plan: Plan, results: Path) -> list[tuple[Any, ...]]:
+def _maps(planned: PlannedPoint, bounds: Mapping[str, Any], data: Path | None) -> list[tuple[Any, ...]]:
     """Return for a sequence its first frame under the classes, and under the orders by window and by pixel."""
     from fracbench.harness.run.compute_point import point_arrays
+    from fracbench.model.structure import structure_classes
+    from fracbench.studies.alpha_map.oracle import unpack
 
-    points = _oracle_points(plan)[name]
-    frame0, *_ = point_arrays(points[0], plan.folder)
-    maps = load_maps(points, options(experiment).window, results / RUNS / "oracles")
-    alphas = [point.params.alpha for point in points]
-    return [(name, frame0, scope, maps[scope], alphas) for scope in ("classes", "window", "pixel")]
+    frame0, *_ = point_arrays(planned.point, data)
+    maps = {"classes": structure_classes(frame0)}
+    maps |= {scope: unpack(text, frame0.shape) for scope, text in bounds["maps"].items()}
+    name = planned.labels["sequence"]
+    return [(name, frame0, scope, orders, bounds["alphas"]) for scope, orders in maps.items()]

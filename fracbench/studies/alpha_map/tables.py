@@ -66,6 +66,7 @@ def adaptive_table(runs: pd.DataFrame, oracles: Oracles) -> pd.DataFrame:
                 found = errors.get("aae", math.nan), errors.get("aepe", math.nan)
                 records.append((sequence, f"{kind} {scope}", "", *found))
     table = pd.DataFrame.from_records(records, columns=["sequence", "estimate", "orders", "aae", "aepe"])
+    table = table.astype({"aae": np.float64, "aepe": np.float64})  # a store has None where a number is not finite
     # A mean over fewer sequences than the others' would not be comparable.
     means = table.groupby("estimate")[["aae", "aepe"]].agg(lambda errors: errors.mean(skipna=False)).reset_index()
     orders = table.groupby("estimate")["orders"].agg(lambda names: names.iloc[0] if names.nunique() == 1 else "")

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import json
+import dataclasses
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from fracbench.errors import FracbenchError, InputError
+from fracbench.errors import InputError
 from fracbench.harness.config.experiment import load_experiment
-from fracbench.harness.run.plan import plan_experiment
+from fracbench.harness.run.compute_point import point_arrays
+from fracbench.harness.run.plan import plan_artefact, plan_experiment
 from fracbench.model.structure import CLASSES
 from fracbench.studies.alpha_map import artefact
 from fracbench.studies.alpha_map.figures import gain_panels, order_pictures, order_title
-from fracbench.studies.alpha_map.oracle import SCOPES
+from fracbench.studies.alpha_map.oracle import SCOPES, pack
 from fracbench.studies.alpha_map.tables import (
     MEAN,
     adaptive_sentences,
@@ -193,10 +194,11 @@ def test_every_class_and_single_order_is_planned_on_every_sequence(experiment):
 
 
 def test_the_whole_of_it_on_a_made_up_store(work, experiment, fake_rows, unwritten, monkeypatch):
-    plan = plan_experiment(experiment.grids, ["dataset=synthetic", "parallel.jobs=1"], small=True)
+    plan = plan_artefact(experiment, ["dataset=synthetic"], small=True)
     rows = fake_rows(plan, lambda labels, params: (0.1, 0.2 - 0.01 * ("alpha_flat" in params), 0.3))
-    monkeypatch.setattr(artefact, "_compute_missing", lambda *_: None)
-    monkeypatch.setattr(artefact, "load_oracle", lambda *_: oracle())
+    for each in plan.points:
+        if each.point.score == "oracle":
+            rows[each.point.key] = dataclasses.replace(rows[each.point.key], result=oracle())
     monkeypatch.setattr(artefact, "_order_pictures", lambda *_: [])
     made = artefact.adaptive_alpha(experiment, plan, rows, work)
     names = {str(path.relative_to(work)) for path in made.files}
@@ -219,17 +221,39 @@ def test_a_grid_that_is_missing_is_named(work, experiment, part):
         artefact.adaptive_alpha(broken, None, {}, work)
 
 
-def test_bounds_of_points_that_failed_are_not_computed(work, experiment, fake_rows, monkeypatch):
-    plan = plan_experiment(experiment.grids, ["dataset=synthetic", "parallel.jobs=1"], small=True)
-    monkeypatch.setattr(artefact, "compute_oracle", lambda *_: pytest.fail("computed"))
-    artefact._compute_missing(experiment, plan, fake_rows(plan, status="failed"), work)
-    assert set(artefact.stored_oracles(experiment, plan, work).values()) == {None}
+def test_bounds_are_planned_once_a_sequence_with_its_single_orders(experiment):
+    plan = plan_artefact(experiment, ["dataset=synthetic"], small=True)
+    bounds = [each for each in plan.points if each.point.score == "oracle"]
+    assert [each.labels["sequence"] for each in bounds] == list(
+        dict.fromkeys(each.labels["sequence"] for each in plan.points)
+    )
+    own = [each.point.params.alpha for each in plan.points if each.labels["part"] == "oracle"]
+    assert dict(bounds[0].point.options) == {"alphas": tuple(own[: len(own) // len(bounds) - 1]), "window": 32}
 
 
-def test_a_damaged_bound_is_one_line(work, experiment):
-    plan = plan_experiment(experiment.grids, ["dataset=synthetic"], small=True)
-    (work / "runs/oracles").mkdir(parents=True)
-    points = next(iter(artefact._oracle_points(plan).values()))
-    artefact.oracle_file(points, 32, work / "runs/oracles").write_text(json.dumps({})[:1])
-    with pytest.raises(FracbenchError, match="cannot be read; delete the folder"):
-        artefact.stored_oracles(experiment, plan, work)
+@pytest.mark.parametrize("score", ["frame", "oracle"])
+def test_bounds_want_their_own_point_and_the_single_orders_done(experiment, fake_rows, score):
+    plan = plan_artefact(experiment, ["dataset=synthetic"], small=True)
+    rows, failed = fake_rows(plan), fake_rows(plan, status="failed")
+    assert None not in artefact.stored_oracles(plan, rows).values()
+    part = [each for each in plan.points if each.labels["part"] == "oracle" and each.point.score == score]
+    rows[part[0].point.key] = failed[part[0].point.key]
+    del rows[part[-1].point.key]
+    found = artefact.stored_oracles(plan, rows)
+    assert found[part[0].labels["sequence"]] is found[part[-1].labels["sequence"]] is None
+
+
+def test_pictures_show_the_classes_and_the_maps_of_the_row(work, experiment, fake_rows, monkeypatch):
+    plan = plan_artefact(experiment, ["dataset=synthetic"], small=True)
+    rows, shown = fake_rows(plan), []
+    for each in plan.points:
+        if each.point.score == "oracle":
+            shape = point_arrays(each.point, None)[0].shape
+            maps = {scope: np.full(shape, k, np.uint8) for k, scope in enumerate(("window", "pixel"))}
+            result = {**oracle(), "maps": {scope: pack(orders) for scope, orders in maps.items()}}
+            rows[each.point.key] = dataclasses.replace(rows[each.point.key], result=result)
+    monkeypatch.setattr("fracbench.figures.cache.draw", lambda stem, panel, items, **_: shown.extend(items) or [])
+    artefact._order_pictures(experiment, plan, rows, work)
+    scopes = [title.partition("\n")[2] for title, _ in shown]
+    assert scopes == ["classes", "best order about each pixel", "best order at each pixel"] * 2
+    assert all(picture.shape[2] == 3 for _, picture in shown)

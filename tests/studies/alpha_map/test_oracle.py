@@ -2,28 +2,20 @@
 
 from __future__ import annotations
 
-import json
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from fracbench.data.files import write_flow
 from fracbench.errors import FracbenchError
 from fracbench.evaluation.metrics import endpoint_error, flow_errors
-from fracbench.harness.run import flows
 from fracbench.harness.run.compute_point import point_arrays
 from fracbench.harness.run.plan import make_plan
+from fracbench.methods.registry import get_method
 from fracbench.model.structure import CLASSES, structure_classes
 from fracbench.studies.alpha_map import oracle
-from fracbench.studies.alpha_map.oracle import (
-    SCOPES,
-    best_orders,
-    composed,
-    compute_oracle,
-    load_maps,
-    load_oracle,
-    oracle_file,
-)
+from fracbench.studies.alpha_map.oracle import SCOPES, best_orders, bounds, composed, pack, unpack
 
 CHEAP = ["n_scales=1", "n_warps=1", "max_iter=2", "method=tvl1_sb_alpha"]
 
@@ -68,58 +60,49 @@ def test_flows_are_put_together_pixel_by_pixel():
     assert composed(flows, orders).tolist() == [[[0, 9], [18, 3]], [[4, 13], [22, 7]]]
 
 
+def test_a_packed_map_is_the_map(errors):
+    orders = errors.argmin(axis=0).astype(np.uint8)
+    assert (unpack(pack(orders), orders.shape) == orders).all()
+
+
 @pytest.fixture
-def sequence(work):
-    plan = make_plan(["sequence=synthetic_edge", *CHEAP, "alpha=0.8,1.2"])
-    for name in ("flows", "oracles"):
-        (work / name).mkdir()
-    return [planned.point for planned in plan.points], work
+def point():
+    """The bounds of a scene with two orders."""
+    singles = make_plan(["sequence=synthetic_edge", *CHEAP, "alpha=0.8,1.2"]).points
+    alphas = tuple(planned.point.params.alpha for planned in singles)
+    return replace(singles[0].point, score="oracle", options=(("alphas", alphas), ("window", 16)))
 
 
-def test_a_whole_oracle_on_a_scene(sequence):
-    points, work = sequence
-    compute_oracle(points, None, work / "flows", 16, work / "oracles")
-    found, maps = (load(points, 16, work / "oracles") for load in (load_oracle, load_maps))
-    frame0, _, truth, _ = point_arrays(points[0], None)
-    assert (maps["classes"] == structure_classes(frame0)).all()
-    assert found["alphas"] == [0.8, 1.2]
-    flows = np.stack([oracle._kept_flow(point, None, work / "flows") for point in points])
-    by_hand = np.minimum(*(endpoint_error(flow, truth) for flow in flows))
-    assert found["scopes"]["pixel"]["least"]["aepe"] == pytest.approx(np.nanmean(by_hand), rel=1e-6)
+def test_a_whole_oracle_on_a_scene(point):
+    found = bounds(point, None)
+    frame0, frame1, truth, _ = point_arrays(point, None)
+    classes = structure_classes(frame0)
+    maps = {scope: unpack(text, classes.shape) for scope, text in found["maps"].items()}
+    assert found["alphas"] == (0.8, 1.2)
+    estimate = get_method(point.method).estimate
+    flows = [estimate(frame0, frame1, point.params.replace({"alpha": alpha})).flow for alpha in (0.8, 1.2)]
+    errors = np.stack([endpoint_error(flow, truth) for flow in flows])
+    assert found["scopes"]["pixel"]["least"]["aepe"] == pytest.approx(np.nanmean(errors.min(axis=0)), rel=1e-6)
     for name in CLASSES:
         own = found["classes"][name]
-        mask = maps["classes"] == CLASSES.index(name)
+        mask = classes == CLASSES.index(name)
         assert own["pixels"] == mask.sum() == sum(own["window"]) == sum(own["pixel"])
-        expected = [endpoint_error(flow, truth)[mask].sum() for flow in flows]
-        assert own["sums"] == pytest.approx(expected)
+        assert own["sums"] == pytest.approx(errors[:, mask].sum(axis=1))
+        for scope, orders in maps.items():
+            assert own[scope] == np.bincount(orders[mask], minlength=2).tolist()
     singles = [flow_errors(flow, truth).aepe for flow in flows]
     runs = [found["scopes"][scope]["run"]["aepe"] for scope in SCOPES]
     assert all(0.0 < error < 1.5 * max(singles) for error in runs)
 
 
-def test_what_is_kept_is_not_computed_again(sequence, monkeypatch):
-    points, work = sequence
-    truth = point_arrays(points[0], None)[2]
-    for point in points:  # a stored array is taken for the flow
-        write_flow(work / "flows" / f"{point.key}.flo", truth)
-    monkeypatch.setattr(flows, "get_method", lambda name: pytest.fail("computed"))
-    compute_oracle(points, None, work / "flows", 16, work / "oracles")
-    found = load_oracle(points, 16, work / "oracles")
-    assert found["scopes"]["pixel"]["least"]["aepe"] == 0.0
-    assert set(found["scopes"]) == set(SCOPES)
+def test_other_orders_or_another_window_are_another_point(point):
+    changes = ({}, {"window": 32}, {"alphas": (0.8,)})
+    others = [replace(point, options=tuple({**dict(point.options), **change}.items())) for change in changes]
+    assert len({each.key for each in others}) == 3 and others[0].key == point.key
 
 
-def test_other_points_or_another_window_are_another_oracle(sequence):
-    points, work = sequence
-    names = {oracle_file(*given, work) for given in ((points, 16), (points, 32), (points[:1], 16))}
-    assert len(names) == 3
-    assert load_oracle(points, 16, work / "oracles") is None
-
-
-@pytest.mark.parametrize(("load", "suffix"), [(load_oracle, ".json"), (load_maps, ".npz")])
-def test_a_damaged_file_is_named(sequence, load, suffix):
-    points, work = sequence
-    path = oracle_file(points, 16, work / "oracles").with_suffix(suffix)
-    path.write_text(json.dumps({"alphas": [1]})[:-1])
-    with pytest.raises(FracbenchError, match=path.name):
-        load(points, 16, work / "oracles")
+def test_a_flow_that_is_not_finite_has_no_bounds(point, monkeypatch):
+    broken = SimpleNamespace(flow=np.full((2, *point_arrays(point, None)[0].shape), np.nan, np.float32))
+    monkeypatch.setattr(oracle, "get_method", lambda name: SimpleNamespace(estimate=lambda *_: broken))
+    with pytest.raises(FracbenchError, match="a flow of a single order is not finite"):
+        bounds(point, None)
