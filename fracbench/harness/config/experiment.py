@@ -18,21 +18,7 @@ MAIN = "main"
 
 @dataclass(frozen=True)
 class Experiment:
-    """What to run and what to draw.
-
-    Attributes
-    ----------
-    name : str
-        The file's name.
-    title : str
-        Heading of the artefact.
-    artefact : str
-        Name of the renderer in `fracbench.studies.registry`.
-    grids : mapping of str to tuple of str
-        Overrides in the grammar of the command line, by the part of the artefact that they feed.
-    options : mapping
-        What the renderer wants to know besides.
-    """
+    """Grids of overrides by the part of the artefact that they feed, and the name of its renderer."""
 
     name: str
     title: str
@@ -48,23 +34,7 @@ def list_experiments() -> list[str]:
 
 
 def load_experiment(name: str) -> Experiment:
-    """Read an experiment.
-
-    Parameters
-    ----------
-    name : str
-        Name of a file in ``experiments/`` of the working folder or of the project.
-
-    Returns
-    -------
-    Experiment
-        Checked.
-
-    Raises
-    ------
-    InputError
-        No such file, not YAML, unknown or missing keys.
-    """
+    """Read an experiment from ``experiments/`` of the working folder or of the project, checked."""
     import yaml
 
     if name not in (known := list_experiments()):

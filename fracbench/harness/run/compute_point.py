@@ -39,19 +39,7 @@ Guard = Callable[[], AbstractContextManager[Any]]
 def run_point(point: Point, folder: Path | None, guard: Guard = nullcontext) -> Outcome:
     """Compute a point; whatever goes wrong becomes its outcome.
 
-    Parameters
-    ----------
-    point : Point
-        What to compute.
-    folder : Path or None
-        Where the Middlebury data are.
-    guard : callable, optional
-        Gives the context in which the estimate runs, after all preparations.
-
-    Returns
-    -------
-    Outcome
-        Never raises, but for what ends the process.
+    The estimate alone runs in the context of `guard`, after all preparations.
     """
     machine = provenance.machine()
     try:
@@ -143,29 +131,7 @@ def holds(digest: str) -> bool:
 
 
 def point_arrays(point: Point, folder: Path | None) -> tuple[Any, Any, Any, tuple[slice, slice]]:
-    """Return the frames and the true flow that a point computes on.
-
-    Parameters
-    ----------
-    point : Point
-        The point.
-    folder : Path or None
-        Where the Middlebury data are.
-
-    Returns
-    -------
-    frame0, frame1 : ndarray, shape (h, w)
-        The frames, cut to the region with its context.
-    truth : ndarray, shape (2, h, w), or None
-        The true flow there.
-    inner : tuple of slice
-        The region within them.
-
-    Raises
-    ------
-    InputError
-        The data are not what the point was planned for.
-    """
+    """Return the frames cut to the region with its context, the true flow or None, and the region within them."""
     sequence = _sequence_of(point, folder)
     if point.region is None:
         return sequence.frame0, sequence.frame1, sequence.truth, (slice(None), slice(None))

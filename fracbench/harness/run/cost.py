@@ -15,24 +15,7 @@ ROUGH_SECONDS_PER_PIXEL = 1e-5
 
 
 def expected_seconds(points: Iterable[Point], rows: Iterable[Row], jobs: int) -> tuple[float, bool]:
-    """Estimate the time to compute points.
-
-    Parameters
-    ----------
-    points : iterable of Point
-        What is to be computed.
-    rows : iterable of Row
-        What was computed before.
-    jobs : int
-        Worker processes.
-
-    Returns
-    -------
-    seconds : float
-        Expected wall-clock time.
-    measured : bool
-        Whether every method's speed is known from the store; else a rough constant stands in.
-    """
+    """Estimate the seconds to compute points by stored rows; tell whether these hold every method's speed."""
     speeds: dict[str, list[float]] = {}
     for row in rows:
         if row.status == "done" and row.seconds:

@@ -41,20 +41,7 @@ _MISSES = 2
 
 
 class DaskPool:
-    """The workers of a cluster that is running; they may come and go. See `fracbench.harness.run.pool.Pool`.
-
-    Parameters
-    ----------
-    address : str or None
-        Of the scheduler.
-    store : Store
-        Where rows are put as they arrive.
-
-    Raises
-    ------
-    InputError
-        Dask is not installed, no address was given, or nothing answers there.
-    """
+    """The workers of a cluster that is running; they may come and go. See `fracbench.harness.run.pool.Pool`."""
 
     retry_alone = False
 
@@ -76,13 +63,7 @@ class DaskPool:
         self._rows[row.key] = row
 
     def compute(self, jobs: Iterable[Job]) -> Ended:
-        """Compute jobs; see `fracbench.harness.run.pool.Pool`.
-
-        Raises
-        ------
-        FracbenchError
-            The scheduler has gone, or a worker cannot run jobs at all.
-        """
+        """Compute jobs; see `Pool`. FracbenchError: the scheduler has gone, or a worker cannot run jobs at all."""
         jobs, ended = iter(jobs), list[tuple[str, Row | None]]()
         job = next(jobs, None)
         while True:

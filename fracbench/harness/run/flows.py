@@ -18,22 +18,7 @@ def flow_file(point: Point, folder: Path) -> Path:
 
 
 def keep_flow(point: Point, data: Path | None, path: Path) -> None:
-    """Compute the flow of a point and write it, unless the file is there: it is there whole or not at all.
-
-    Parameters
-    ----------
-    point : Point
-        What to compute.
-    data : Path or None
-        Where the Middlebury data are.
-    path : Path
-        From `flow_file`, in a folder that is there.
-
-    Raises
-    ------
-    InputError
-        Data that cannot be read, a file that cannot be written.
-    """
+    """Compute the flow of a point and write it, unless the file is there: it is there whole or not at all."""
     if path.is_file():
         return
     frame0, frame1, _, inner = point_arrays(point, data)

@@ -13,22 +13,9 @@ from fracbench.harness.run.store import Row
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a point ended.
+    """How a point ended: seconds of the estimate alone, and the largest resident memory of the process meanwhile.
 
-    Attributes
-    ----------
-    status : str
-        ``done``, ``failed`` or ``diverged``; whoever ends the process adds ``timeout`` and ``crashed``.
-    error : str or None
-        What went wrong.
-    result : dict
-        Errors, iterations, stop reason, seconds by phase, notices.
-    seconds : float or None
-        Of the estimate alone.
-    peak_mib : float or None
-        Largest resident memory of the process while the point ran.
-    machine : dict
-        Where it ran.
+    A worker says ``done``, ``failed`` or ``diverged``; ``timeout`` and ``crashed`` come from whoever ends it.
     """
 
     status: str
@@ -41,24 +28,9 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Job:
-    """A point on its way to a worker.
+    """A point on its way to a worker, with the key, the solver version and the commit that its parent has.
 
-    Attributes
-    ----------
-    key : str
-        The point's key, as the parent has it.
-    point : Point
-        What to compute.
-    attempt : int
-        How often it will have been started.
-    solver_version : int
-        The parent's.
-    commit : mapping
-        From `provenance.commit`.
-    folder : Path or None
-        Where the Middlebury data are.
-    timeout : float or None
-        Seconds that the estimate may take.
+    `attempt` counts its starts, this one included; `timeout` is in seconds.
     """
 
     key: str

@@ -39,26 +39,11 @@ class PlannedPoint:
 
 @dataclass(frozen=True)
 class Plan:
-    """Points in the order of the grid.
+    """Points in the order of the grid, and what holds for all of them.
 
-    Attributes
-    ----------
-    points : tuple of PlannedPoint
-        Distinct labels may share a point; it is computed once.
-    varying : tuple of str
-        Keys that take more than one value.
-    dataset : str
-        ``"middlebury"`` or ``"synthetic"``.
-    folder : Path or None
-        Where the Middlebury data are.
-    notices : tuple of str
-        What the user should be told.
-    config : RunConfig
-        Configuration of the first point, for settings that hold for all.
-    stand_in : bool
-        Whether synthetic scenes take the place of Middlebury sequences that were asked for.
-    small : bool
-        Whether the grid was thinned.
+    Distinct labels may share a point, which is computed once. `config` is that of the first point; `folder` is
+    where the Middlebury data are; `stand_in` tells whether synthetic scenes take the place of Middlebury
+    sequences, `small` whether the grid was thinned.
     """
 
     points: tuple[PlannedPoint, ...]
@@ -76,27 +61,7 @@ class Plan:
 
 
 def make_plan(tokens: Sequence[str], *, allow_download: bool = True, small: bool = False) -> Plan:
-    """Expand overrides to points.
-
-    Parameters
-    ----------
-    tokens : sequence of str
-        Overrides in the grammar of `fracbench.harness.config.grid`.
-    allow_download : bool, optional
-        Whether missing Middlebury data may be downloaded.
-    small : bool, optional
-        Thin the grid: see `Grid.thinned`.
-
-    Returns
-    -------
-    Plan
-        The points.
-
-    Raises
-    ------
-    InputError
-        Malformed overrides, unknown names, values out of range, data or peers that cannot be had.
-    """
+    """Expand overrides (see `fracbench.harness.config.grid`) to points; `small` thins the grid."""
     grid = _expand_globs(parse_overrides(tokens))
     if small:
         grid = grid.thinned()
@@ -131,29 +96,9 @@ def plan_experiment(
     allow_download: bool = True,
     small: bool = False,
 ) -> Plan:
-    """Expand the grids of an experiment to one plan.
+    """Expand grids to one plan, with `settings` added to each; the label ``part`` names the grid of a point.
 
-    Parameters
-    ----------
-    grids : mapping of str to sequence of str
-        Overrides by the part of the artefact that they feed. Without any, the plan has no points, only the
-        data set: for artefacts that show data or parameters.
-    settings : sequence of str, optional
-        Overrides added to each grid.
-    allow_download : bool, optional
-        Whether missing Middlebury data may be downloaded.
-    small : bool, optional
-        Thin every grid: see `Grid.thinned`.
-
-    Returns
-    -------
-    Plan
-        All points; the label ``part`` names the grid of each.
-
-    Raises
-    ------
-    InputError
-        See `make_plan`.
+    Without any grid the plan has no points, only the data set: for artefacts that show data or parameters.
     """
     if not grids:
         return replace(make_plan(settings, allow_download=allow_download, small=small), points=(), varying=())

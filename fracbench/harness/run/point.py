@@ -32,28 +32,10 @@ _YOUNGER = {"texture": "0", "occlusion": "median"}
 class Point:
     """One computation: everything its result depends on, and nothing else.
 
-    Attributes
-    ----------
-    method : str
-        Name in the registry.
-    params : FlowParams
-        Parameters; those that the method does not use are no part of the key.
-    dataset, sequence : str
-        The data.
-    region : Region or None
-        The box that is scored; None for the whole frame. Its name is no part of the key.
-    context : int
-        Pixels around the region that take part in the computation.
-    data_digest : str
-        SHA-256 of the data.
-    noise : float
-        Standard deviation of the noise of a rendered scene, gray levels.
-    seed : int
-        Of a rendered scene.
-    score : str
-        ``"frame"``, ``"structure"`` for errors by class of pixels as well, or one of `MEASURES`.
-    options : tuple of (str, value)
-        Settings of a measure; values are numbers or tuples of numbers.
+    Parameters that the method does not use, and the region's name, are no part of the key. `context` counts pixels
+    around the region that take part in the computation; `data_digest` is the data's SHA-256; `noise` (gray levels)
+    and `seed` are of a rendered scene. `score` is ``"frame"``, ``"structure"`` for errors by class of pixels as
+    well, or one of `MEASURES`; its `options` are numbers or tuples of numbers.
     """
 
     method: str

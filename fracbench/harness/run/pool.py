@@ -44,15 +44,10 @@ class Pool(Protocol):
     retry_alone: bool
 
     def compute(self, jobs: Iterable[Job]) -> Ended:
-        """Compute jobs, taken as workers become free, maybe in another thread.
+        """Compute jobs, taken as workers become free, maybe in another thread; yield their keys and rows.
 
-        Yields
-        ------
-        key : str
-            Of a job that ended.
-        row : Row or None
-            Its row, which is in the store; None if its worker died. When the workers of all jobs die at once, the
-            jobs that had not begun are left out.
+        A row is in the store; it is None if the worker died. When the workers of all jobs die at once, the jobs
+        that had not begun are left out.
         """
         ...
 
@@ -62,15 +57,7 @@ class Pool(Protocol):
 
 
 class LocalPool:
-    """Processes of joblib on this machine, which stay for the next pool.
-
-    Parameters
-    ----------
-    jobs : int
-        Processes that compute at the same time.
-    store : Store
-        Where the workers put their rows.
-    """
+    """Processes of joblib on this machine, which stay for the next pool and put their rows into the store."""
 
     retry_alone = True
 
@@ -80,13 +67,7 @@ class LocalPool:
         self._false_starts = 0
 
     def compute(self, jobs: Iterable[Job]) -> Ended:
-        """Compute jobs; see `Pool`.
-
-        Raises
-        ------
-        FracbenchError
-            Workers die before they begin, or the store cannot be written.
-        """
+        """Compute jobs; see `Pool`. FracbenchError: workers die before they begin, or the store fails."""
         given: dict[str, Job] = {}
         failures: list[Exception] = []
 
@@ -140,21 +121,8 @@ def parallel_map(
 ) -> Iterator[T]:
     """Call a function with each of some arguments in joblib's processes, from now on; yield the results in order.
 
-    Parameters
-    ----------
-    function : callable
-        The function; it may run in a process that was started in another folder.
-    arguments : sequence of tuple
-        A tuple a call.
-    jobs : int
-        Processes; if they are one, the calls are made here, each as its result is asked for.
-    kept : str
-        The work that is not lost if a process dies, for the message.
-
-    Raises
-    ------
-    FracbenchError
-        A process died.
+    With one process the calls are made here, each as its result is asked for. `kept` names, for the message, the
+    work that is not lost if a process dies. The function may run in a process that was started in another folder.
     """
     from joblib import delayed
 

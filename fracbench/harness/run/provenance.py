@@ -19,13 +19,7 @@ _PEERS = ("opencv-contrib-python-headless", "opencv-python", "scikit-image")
 
 @lru_cache(maxsize=1)
 def machine() -> dict[str, Any]:
-    """Return what is known of the machine and the versions at work in this process.
-
-    Returns
-    -------
-    dict
-        ``host``, ``cpu``, ``cores``, ``python``, ``versions``.
-    """
+    """Return what is known of the machine and the versions at work in this process."""
     return {
         "host": platform.node(),
         "cpu": _cpu(),
@@ -49,13 +43,7 @@ def versions() -> dict[str, str]:
 
 @lru_cache(maxsize=1)
 def commit() -> dict[str, Any]:
-    """Return the commit of the checkout and whether its tracked files differ from it.
-
-    Returns
-    -------
-    dict
-        ``commit`` (None outside a checkout) and ``dirty``.
-    """
+    """Return the commit of the checkout (None outside one) and whether its tracked files differ from it."""
     root = checkout()
     if root is None:
         return {"commit": None, "dirty": None}
@@ -67,13 +55,7 @@ def commit() -> dict[str, Any]:
 
 
 def git(root: Path, *arguments: str) -> str:
-    """Return what a git command prints in a checkout.
-
-    Raises
-    ------
-    OSError, subprocess.SubprocessError
-        There is no git, the command fails, or it takes longer than 10 s.
-    """
+    """Return what a git command prints in a checkout; an error if it fails or takes longer than 10 s."""
     done = subprocess.run(["git", *arguments], cwd=root, capture_output=True, text=True, check=True, timeout=10)
     return done.stdout.strip()
 
@@ -100,13 +82,7 @@ def reset_peak() -> None:
 
 
 def peak_mib() -> float | None:
-    """Return the largest resident memory since `reset_peak`, MiB.
-
-    Returns
-    -------
-    float or None
-        None where the system does not tell.
-    """
+    """Return the largest resident memory since `reset_peak`, MiB; None where the system does not tell."""
     try:
         for line in _STATUS.read_text().splitlines():
             if line.startswith("VmHWM:"):

@@ -59,24 +59,9 @@ _REMEDIES = {
 
 
 def open_to_write(path: Path) -> sqlite3.Connection:
-    """Open a store for reading and writing; it and its folder are created if they are not there.
+    """Open a store in autocommit mode; it and its folder are created if they are not there.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Returns
-    -------
-    sqlite3.Connection
-        In autocommit mode: see `transaction`.
-
-    Raises
-    ------
-    InputError
-        Another program's database, or a store of another version.
-    OSError, sqlite3.Error
-        It cannot be opened: see `explain`.
+    InputError: another program's database, or a store of another version; for other errors see `explain`.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     db = _connect(path, "mode=rwc")

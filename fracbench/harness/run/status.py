@@ -18,28 +18,10 @@ _COMMANDS = {"table": "table", "fig": "figure"}
 
 @dataclass(frozen=True)
 class Standing:
-    """How far one experiment is.
+    """How many points of an experiment are done, failed, stale or missing, and the command that goes on, if any.
 
-    Attributes
-    ----------
-    experiment : str
-        Its name.
-    dataset : str
-        The data that its points are planned on.
-    points : int
-        Distinct points: done + failed + stale + missing.
-    done, failed : int
-        Points stored as they are planned, by how they ended.
-    stale : int
-        Points stored under other circumstances only: another solver version, other data.
-    missing : int
-        Points never run.
-    why : dict of str to int
-        Why points would be run, with their numbers.
-    command : str
-        What goes on; empty if nothing is to do.
-    error : str
-        Why the experiment cannot be planned; empty if it can.
+    Stale points are stored under other circumstances only: another solver version, other data. `error` says why
+    the experiment cannot be planned.
     """
 
     experiment: str
@@ -59,22 +41,7 @@ class Standing:
 
 
 def standing(name: str, settings: Sequence[str], store: Store) -> Standing:
-    """Compare the plan of an experiment with the store; nothing is computed or downloaded.
-
-    Parameters
-    ----------
-    name : str
-        The experiment.
-    settings : sequence of str
-        Overrides for all its grids: data set, paths.
-    store : Store
-        What there is.
-
-    Returns
-    -------
-    Standing
-        With an error where the experiment cannot be planned.
-    """
+    """Compare the plan of an experiment with the store; nothing is computed or downloaded."""
     try:
         plan = plan_artefact(load_experiment(name), settings, allow_download=False)
     except InputError as exc:

@@ -38,39 +38,11 @@ def _now() -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """What is known of one point.
+    """What is known of one point; numbers that are not finite come back as None, arrays and tuples as lists.
 
-    Attributes
-    ----------
-    key : str
-        SHA-256 of everything the result depends on.
-    identity : str
-        Hash of `spec` alone, without solver version and data: rows of one identity are the same point,
-        run under different circumstances.
-    spec : mapping
-        The point in canonical form.
-    solver_version : int
-        Version of the numerics that ran.
-    status : {'done', 'failed', 'crashed', 'timeout', 'diverged'}
-        How it ended.
-    error : str, optional
-        The error text, for every status but ``done``.
-    result : mapping
-        Metrics, iterations, stop reason, energy. Numbers that are not finite come back as None, arrays
-        and tuples as lists.
-    seconds, peak_mib : float, optional
-        Time and peak memory (MiB); None where they could not be measured.
-    provenance : mapping
-        Host, processor, versions, threads, commit, whether the working tree was clean.
-    attempts : int
-        How often it was started.
-    created : str
-        When it ended, UTC, ISO 8601; now by default.
-
-    Raises
-    ------
-    InputError
-        If the status is unknown.
+    The `key` hashes everything the result depends on, the `identity` the `spec` alone, without solver version and
+    data: rows of one identity are the same point, run under different circumstances. `seconds` and `peak_mib` are
+    None where they could not be measured.
     """
 
     key: str
@@ -114,18 +86,9 @@ _UPSERT = (
 class Store:
     """An open store; use it in a ``with`` statement, in one thread.
 
-    Parameters
-    ----------
-    path : path-like
-        The file; it and its folder are created if they are not there.
-    readonly : bool, default: False
-        Open for reading only: nothing is created, and a store that is not there reads as an empty one.
-
-    Raises
-    ------
-    InputError
-        If the file is no store, of another schema version, or cannot be opened. Every method raises
-        `StoreError` where SQLite fails later on.
+    The file and its folder are created if they are not there; read-only nothing is created, and a store that is
+    not there reads as an empty one. InputError: the file is no store, of another schema version, or cannot be
+    opened; StoreError: SQLite fails later on.
     """
 
     def __init__(self, path: str | Path, *, readonly: bool = False) -> None:
@@ -181,13 +144,7 @@ class Store:
         return {status: found.get(status, 0) for status in STATUSES}
 
     def put(self, row: Row) -> bool:
-        """Write a row in a transaction of its own, in place of one with the same key.
-
-        Returns
-        -------
-        bool
-            False if the row was left out because it failed and there is a ``done`` one already.
-        """
+        """Write a row in place of one with its key; False if it failed and there is a ``done`` one already."""
         values = _encode(row)
         with self._transaction():
             return self._db.execute(_UPSERT, values).rowcount == 1
@@ -221,13 +178,7 @@ class Store:
 
 
 def canonical_json(value: object) -> str:
-    """Return the one JSON text of a value, fit to be hashed: sorted keys, no spaces, ASCII only.
-
-    Raises
-    ------
-    ValueError, TypeError
-        If a number is not finite, or something has no JSON form.
-    """
+    """Return the one JSON text of a value, fit to be hashed: sorted keys, no spaces, ASCII, finite numbers."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 

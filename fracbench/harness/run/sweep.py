@@ -36,18 +36,10 @@ OnRow = Callable[[Row], None]
 
 @dataclass
 class Report:
-    """What a run did.
+    """The rows of all points of a run by key, how many were computed and reused, and why points were computed.
 
-    Attributes
-    ----------
-    rows : dict of str to Row
-        The rows of all points, by key; stored ones included.
-    computed : int
-        Points computed now.
-    reused : int
-        Points the store held, or that another sweep computed meanwhile.
-    reasons : Counter
-        Why points were computed: ``new``, ``solver version 1 -> 2``, ``data changed``, ``failed before``.
+    Reused are points that the store held, or that another sweep computed meanwhile. Reasons: ``new``, ``solver
+    version 1 -> 2``, ``data changed``, ``failed before``.
     """
 
     rows: dict[str, Row] = field(default_factory=dict)
@@ -62,24 +54,7 @@ class Report:
 
 
 def missing(plan: Plan, store: Store, *, rerun_failed: bool = False) -> tuple[Report, dict[str, Point]]:
-    """Compare a plan with the store.
-
-    Parameters
-    ----------
-    plan : Plan
-        What is wanted.
-    store : Store
-        What there is.
-    rerun_failed : bool, optional
-        Count points that failed as missing.
-
-    Returns
-    -------
-    report : Report
-        With the stored rows and the reasons for the missing ones.
-    todo : dict of str to Point
-        What has to be computed, in the order of the plan.
-    """
+    """Compare a plan with the store: return its rows and reasons, and the points to compute, in order."""
     if not store.readonly:
         _take_loose_rows(store)
     points = plan.unique()
@@ -127,30 +102,8 @@ def run(
 ) -> Report:
     """Compute the points that the store lacks; each row is stored as soon as its point is done.
 
-    Parameters
-    ----------
-    plan : Plan
-        What is wanted; its configuration says where it runs and how long a point may take.
-    store : Store
-        Workers on this machine write to it as well, one transaction a point.
-    jobs : int
-        Worker processes on this machine.
-    rerun_failed : bool, optional
-        Compute points again that failed before.
-    on_start : callable, optional
-        Called with the report and the number of points to compute.
-    on_row : callable, optional
-        Called with each new row.
-
-    Returns
-    -------
-    Report
-        With the rows of all points of the plan.
-
-    Raises
-    ------
-    FracbenchError
-        The store or the folder of its claims cannot be written, or workers do not come up.
+    The plan's configuration says where it runs and how long a point may take; `jobs` are processes on this
+    machine. `on_start` is called with the report and the number of points to compute, `on_row` with each new row.
     """
     report, todo = missing(plan, store, rerun_failed=rerun_failed)
     if on_start is not None:
@@ -281,17 +234,7 @@ class Claims:
     """The points that this process has under way, so that sweeps of one store share the work.
 
     A claim is a lock on one byte of a file, at an offset given by the key. The system frees it when the process
-    ends, however it ends. Use it in a ``with`` statement.
-
-    Parameters
-    ----------
-    folder : Path
-        From `claims_folder`; it is created.
-
-    Raises
-    ------
-    InputError
-        The folder cannot be made or written to.
+    ends, however it ends. Use it in a ``with`` statement; the folder, from `claims_folder`, is created.
     """
 
     def __init__(self, folder: Path) -> None:

@@ -27,17 +27,8 @@ RESULT_COLUMNS = (*METRICS, *COUNTS)
 def tidy(plan: Plan, rows: Mapping[str, Row]) -> pd.DataFrame:
     """Return one row a planned flow: labels, parameters, errors, iterations, how it ended.
 
-    Parameters
-    ----------
-    plan : Plan
-        The points, in order.
-    rows : mapping of str to Row
-        By key; points without a row have the status ``missing``.
-
-    Returns
-    -------
-    pandas.DataFrame
-        Parameters that are numbers in every row are numbers; failed points have NaN errors.
+    Points without a row have the status ``missing``, failed ones NaN errors; parameters that are numbers in every
+    row are numbers.
     """
     import pandas as pd
 

@@ -31,22 +31,7 @@ _SCOPES = {"classes": "classes", "window": "best order about each pixel", "pixel
 
 
 def gain_panels(table: pd.DataFrame, confusion: pd.DataFrame, title: str) -> Figure:
-    """Draw the gain on each sequence, and the shares of the best orders in each class.
-
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        From `fracbench.studies.alpha_map.tables.adaptive_table`.
-    confusion : pandas.DataFrame
-        From `fracbench.studies.alpha_map.tables.confusion_table`; may be empty.
-    title : str
-        Heading.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Gains against one alpha left out, a row a sequence; beside it the parts of each class's pixels.
-    """
+    """Draw the gains against one alpha left out, a row a sequence, and the shares of each class's best orders."""
     names = list(dict.fromkeys(table["sequence"]))
     with house_style():
         fig = new_figure(0.36 * len(names) + 2.4)
@@ -87,17 +72,9 @@ def _draw_confusion(ax: Axes, shares: pd.DataFrame) -> None:
 
 
 def order_pictures(items: Sequence[tuple[Any, ...]]) -> list[tuple[str, NDArray[np.uint8]]]:
-    """Paint frames under a veil of classes or orders.
+    """Paint gray frames, 0..255, under a veil of classes or orders; see `order_title` for the colours.
 
-    Parameters
-    ----------
-    items : sequence of tuple
-        ``(sequence, frame, scope, map, alphas)``: the gray frame, 0..255, and indices of classes or of alphas.
-
-    Returns
-    -------
-    list of (str, ndarray of uint8, (H, W, 3))
-        With their titles; see `order_title` for the colours.
+    Items are ``(sequence, frame, scope, map, alphas)`` with indices of classes or of alphas in the map.
     """
     return [
         (f"{name}\n{_SCOPES[scope]}", veiled(frame, found, _colours(scope, len(alphas))))

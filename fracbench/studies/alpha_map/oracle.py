@@ -30,22 +30,11 @@ Map = NDArray[np.uint8]
 
 
 def best_orders(errors: NDArray[np.float64], classes: Map, window: int) -> dict[str, Map]:
-    """Choose for each pixel the order with the least end-point error about it.
+    """Choose for each pixel the order with the least end-point error about it; return indices of orders by scope.
 
-    Parameters
-    ----------
-    errors : ndarray, shape (K, H, W)
-        End-point errors of K orders, pixels; NaN where the true flow is unknown.
-    classes : ndarray of uint8, shape (H, W)
-        From `structure_classes`.
-    window : int
-        Side of a neighbourhood, pixels.
-
-    Returns
-    -------
-    dict of str to ndarray of uint8, (H, W)
-        Indices of orders, by scope: the least mean error over all pixels of the pixel's class in this image, over
-        the window about the pixel, at the pixel. Where nothing is known, the order best on the whole image.
+    `errors` (K, H, W) are of K orders, NaN where the true flow is unknown. Scopes: the least mean error over all
+    pixels of the class in this image, over the window about the pixel, at the pixel. Where nothing is known, the
+    order is that best on the whole image.
     """
     from scipy.ndimage import uniform_filter
 

@@ -38,21 +38,10 @@ Oracles = Mapping[str, Mapping[str, Any] | None]
 
 
 def adaptive_table(runs: pd.DataFrame, oracles: Oracles) -> pd.DataFrame:
-    """Return the errors of all estimates in one table.
+    """Return the errors of all estimates in one table, a row for each sequence and estimate, and their means.
 
-    Parameters
-    ----------
-    runs : pandas.DataFrame
-        From `tables.tidy`, with the parts `SINGLE` and `BY_CLASS`.
-    oracles : mapping
-        By sequence the bounds from `fracbench.studies.alpha_map.oracle`, or None.
-
-    Returns
-    -------
-    pandas.DataFrame
-        ``sequence, estimate, orders, aae, aepe, gain``, a row for each sequence and estimate, and their means;
-        `gain` is how much smaller the AEPE is than that of one alpha left out, per cent. NaN where points or
-        oracles are missing.
+    Columns: ``sequence, estimate, orders, aae, aepe, gain``, the last one how much smaller the AEPE is than that
+    of one alpha left out, per cent. NaN where points or bounds are missing.
     """
     import pandas as pd
 
@@ -113,19 +102,9 @@ def _chosen(errors: pd.DataFrame, kind: str, sequences: list[str]) -> list[tuple
 
 
 def confusion_table(oracles: Oracles) -> pd.DataFrame:
-    """Count which order is best about the pixels of each class.
+    """Count which order is best about (``window``) or at (``pixel``) the pixels of each class, over all sequences.
 
-    Parameters
-    ----------
-    oracles : mapping
-        By sequence; all with the same orders.
-
-    Returns
-    -------
-    pandas.DataFrame
-        ``scope, class, pixels``, then for each order the part of the class's pixels, over all sequences, whose
-        neighbourhood (scope ``window``) or which themselves (``pixel``) it is best for; per cent. Empty where
-        there is no oracle.
+    Columns: ``scope, class, pixels``, then the share of each order, per cent. Empty where there are no bounds.
     """
     import pandas as pd
 
@@ -141,13 +120,7 @@ def confusion_table(oracles: Oracles) -> pd.DataFrame:
 
 
 def class_orders(oracles: Oracles) -> pd.DataFrame:
-    """Return for each sequence and class the single order with the least error over the class's pixels.
-
-    Returns
-    -------
-    pandas.DataFrame
-        ``sequence``, then a column a class; NaN where the sequence has no pixel of the class.
-    """
+    """Return for each sequence and class the single order with the least error over the class's pixels, or NaN."""
     import pandas as pd
 
     records = []
@@ -168,20 +141,7 @@ def reached(table: pd.DataFrame) -> tuple[float, int, int] | None:
 
 
 def adaptive_sentences(table: pd.DataFrame, oracles: Oracles) -> list[str]:
-    """State the gain of alpha by class, its bounds, and, if the goal is missed, the reason.
-
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        From `adaptive_table`.
-    oracles : mapping
-        By sequence.
-
-    Returns
-    -------
-    list of str
-        Computed; none where points failed or are missing.
-    """
+    """State the gain of alpha by class, its bounds, and the reason of a missed goal; nothing if points failed."""
     found = reached(table)
     if found is None:
         return []

@@ -95,20 +95,9 @@ def stored_courses(plan: Plan, rows: Mapping[str, Row]) -> tuple[pd.DataFrame, d
 
 
 def summarise(courses: pd.DataFrame, gap: float, literal: Mapping[float, float]) -> pd.DataFrame:
-    """Return when each solver was first within the gap.
+    """Return when each solver was first within a relative gap, or within the least gap that it reached.
 
-    Parameters
-    ----------
-    courses, literal
-        From `stored_courses`.
-    gap : float
-        Relative gap.
-
-    Returns
-    -------
-    pandas.DataFrame
-        ``alpha, solver, gap, iterations, u-steps, seconds, ratio``; where the gap was not reached, all is for
-        the least gap that was.
+    Columns: ``alpha, solver, gap, iterations, u-steps, seconds, ratio``.
     """
     import pandas as pd
 

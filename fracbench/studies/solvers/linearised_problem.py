@@ -48,17 +48,7 @@ _SHORT = 2.0
 
 @dataclass(frozen=True)
 class Problem:
-    """One linearised problem: minimise E(u, v) for frames linearised at a flow.
-
-    Attributes
-    ----------
-    linear : Linearization
-        The residual.
-    start : ndarray, shape (2, H, W)
-        The flow that every solver begins with.
-    params : FlowParams
-        The model: alpha, boundary, lambda, theta, lambda_sb.
-    """
+    """Minimise E(u, v) for frames linearised at a flow; every solver begins with `start`, shape (2, H, W)."""
 
     linear: Linearization
     start: Array
@@ -84,22 +74,7 @@ def courses(point: Point, folder: Path | None) -> dict[str, Any]:
 
 
 def linearised_problem(frame0: Array, frame1: Array, at: Array, params: FlowParams) -> Problem:
-    """Linearise two frames at a flow.
-
-    Parameters
-    ----------
-    frame0, frame1 : ndarray, shape (H, W)
-        Frames, 0..255.
-    at : ndarray, shape (2, H, W)
-        Flow to linearise at; the solvers start from 0.
-    params : FlowParams
-        The model.
-
-    Returns
-    -------
-    Problem
-        In float64.
-    """
+    """Linearise two frames (H, W), 0..255, at a flow, in float64; the solvers start from 0."""
     first, second, flow = (np.ascontiguousarray(array, np.float64) for array in (frame0, frame1, at))
     return Problem(Brightness(first, second, params).at(flow), np.zeros_like(flow), params)
 
@@ -125,27 +100,11 @@ def minimum(problem: Problem, iterations: int) -> float:
 def course(
     problem: Problem, solver: Mapping[str, Any], least: float, *, gap: float, seconds: float, iterations: int
 ) -> list[tuple[int, int, float, float]]:
-    """Run a solver until its energy is near the minimum.
+    """Run a solver, parameters as in `SOLVERS`, until its relative gap to the energy `least` is `gap`, or a limit.
 
-    Parameters
-    ----------
-    problem : Problem
-        The problem.
-    solver : mapping
-        Parameters, as in `SOLVERS`.
-    least : float
-        The minimum.
-    gap : float
-        Relative gap to stop at.
-    seconds, iterations : float, int
-        Limits.
-
-    Returns
-    -------
-    list of tuple
-        ``(iteration, u-steps of both components so far, seconds so far, relative gap)``; the energies are not
-        in the seconds. Iteration 0 is the start. A run that is short is timed three times, and an iteration takes
-        the least of its times.
+    Returns ``(iteration, u-steps of both components so far, seconds so far, relative gap)``, from iteration 0, the
+    start; the energies are not in the seconds. A run that is short is timed three times, and an iteration takes
+    the least of its times.
     """
     params = problem.params.replace(solver)
     _Run(problem, params).step()  # compilation
@@ -193,17 +152,7 @@ def iterate_once(frames: Sequence[NDArray[Any]], alpha: float) -> Callable[[], o
 def sweep_seconds(shape: tuple[int, int], params: FlowParams) -> tuple[float, float]:
     """Time one Gauss-Seidel sweep of one component with dense matrices and by the printed double sums.
 
-    Parameters
-    ----------
-    shape : tuple of int
-        ``(H, W)``.
-    params : FlowParams
-        alpha, theta, lambda_sb; the boundary is `zero`.
-
-    Returns
-    -------
-    dense, literal : float
-        Seconds a sweep, compilation excluded.
+    The boundary is `zero`; compilation is excluded.
     """
     rng = np.random.default_rng(0)
     rhs = rng.normal(size=shape).astype(params.dtype)

@@ -141,20 +141,8 @@ def solver_summary(
 ) -> pd.DataFrame:
     """Put the best alpha of each solver beside the paper's and beside the limit of the printed sweep.
 
-    Parameters
-    ----------
-    runs : pandas.DataFrame
-        Tidy rows with ``region, u_solver, alpha``.
-    pairs : pandas.DataFrame
-        ``theta, lambda_sb`` by region.
-    printed : mapping
-        The captions' best alpha by region and error.
-
-    Returns
-    -------
-    pandas.DataFrame
-        ``region, theta, lambda_sb, limit``, then for AAE and AEPE the best alpha in the paper and with each
-        solver, and that solver's error there. NaN where a point of the curve failed.
+    Columns: ``region, theta, lambda_sb, limit``, then for AAE and AEPE the best alpha in the paper and with each
+    solver, and that solver's error there; NaN where a point of the curve failed.
     """
     import pandas as pd
 
@@ -195,20 +183,7 @@ def _side_by_side(spectra: pd.DataFrame) -> pd.DataFrame:
 
 
 def solver_sentences(runs: pd.DataFrame, summary: pd.DataFrame) -> list[str]:
-    """Answer whether the paper's best alpha is where its solver stops converging.
-
-    Parameters
-    ----------
-    runs : pandas.DataFrame
-        Tidy rows with ``region, u_solver, alpha, aepe``.
-    summary : pandas.DataFrame
-        From `solver_summary`.
-
-    Returns
-    -------
-    list of str
-        Sentences, computed.
-    """
+    """Answer whether the paper's best alpha is where its solver stops converging."""
     limits, n = summary["limit"], len(summary)
     beyond = {metric: int((summary[f"{metric} paper"] > limits).sum()) for metric in ("aae", "aepe")}
     sentences = [

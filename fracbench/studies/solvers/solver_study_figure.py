@@ -24,24 +24,7 @@ _LIMIT: dict[str, Any] = {"color": "black", "linewidth": 1.0, "linestyle": ":"}
 
 
 def solver_panels(spectra: pd.DataFrame, runs: pd.DataFrame, summary: pd.DataFrame, title: str) -> Figure:
-    """Draw the sweeps' spectral radii and counts, and the AEPE of whole runs by solver, against alpha.
-
-    Parameters
-    ----------
-    spectra : pandas.DataFrame
-        From `fracbench.studies.solvers.solver_study.spectra_table`.
-    runs : pandas.DataFrame
-        Tidy rows with ``region, u_solver, alpha, aepe``.
-    summary : pandas.DataFrame
-        From `fracbench.studies.solvers.solver_study.solver_summary`.
-    title : str
-        Heading.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Three panels on the u-system, and one a region.
-    """
+    """Draw the sweeps' radii and counts in three panels, and the AEPE of whole runs in one a region."""
     n_rows = 1 + -(-len(summary) // 3)
     with house_style():
         fig = new_figure(2.6 * n_rows + 0.7)

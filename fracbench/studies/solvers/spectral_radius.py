@@ -28,21 +28,11 @@ _PRECISION = 1e-4
 
 
 def jacobi_limit(theta: float, mu: float) -> float:
-    r"""Return the order above which the printed fixed point diverges on a large image.
+    r"""Return the order in (1, 2] above which the printed fixed point diverges on a large image, or infinity.
 
     There the eigenvalues of ``T^T T`` fill ``[0, 4^alpha]`` and its diagonal is ``s(alpha) = sum w_k^2 =
     Gamma(1 + 2 alpha) / Gamma(1 + alpha)^2``, so that Jacobi's spectral radius exceeds 1 where
     ``4^alpha - 2 s(alpha) > 1 / (2 mu theta)`` (docs/errata.md, item 3).
-
-    Parameters
-    ----------
-    theta, mu : float
-        Tightness and split Bregman parameter.
-
-    Returns
-    -------
-    float
-        In (1, 2]; infinity if it converges for all orders up to 2.
     """
 
     def excess(alpha: float) -> float:
@@ -55,27 +45,7 @@ def jacobi_limit(theta: float, mu: float) -> float:
 
 
 def spectral_radius(sweep: str, ny: Float64Array, nx: Float64Array, theta: float, mu: float) -> float:
-    """Return the factor by which a sweep shrinks the error in the long run; above 1 it diverges.
-
-    Parameters
-    ----------
-    sweep : {'jacobi', 'gauss_seidel'}
-        Which.
-    ny, nx : ndarray, shapes (H, H) and (W, W), float64
-        Normal operators along the axes.
-    theta, mu : float
-        Tightness and split Bregman parameter.
-
-    Returns
-    -------
-    float
-        To a relative precision of 1e-4.
-
-    Raises
-    ------
-    InputError
-        An unknown sweep.
-    """
+    """Return the factor by which a sweep shrinks the error in the long run, to 1e-4; above 1 it diverges."""
     shape = (len(ny), len(nx))
     start = np.random.default_rng(0).normal(size=shape)
     step = _sweeper(sweep, ny, nx, theta, mu)
@@ -105,30 +75,8 @@ def sweeps_needed(
 ) -> int | None:
     """Count the sweeps that solve ``A u = v / theta`` from ``u = v``, where Algorithm 4 starts.
 
-    Parameters
-    ----------
-    sweep : {'jacobi', 'gauss_seidel'}
-        Which.
-    ny, nx : ndarray, shapes (H, H) and (W, W), float64
-        Normal operators along the axes.
-    theta, mu : float
-        Tightness and split Bregman parameter.
-    v : ndarray, shape (H, W), float64
-        Data.
-    tol : float, optional
-        Norm of the residual, relative to that of the right-hand side.
-    limit : int, optional
-        Largest number of sweeps.
-
-    Returns
-    -------
-    int or None
-        None if it diverges or the limit does not suffice.
-
-    Raises
-    ------
-    InputError
-        An unknown sweep.
+    `tol` is the norm of the residual relative to that of the right-hand side. None: it diverges, or more than
+    `limit` sweeps are needed.
     """
     step = _sweeper(sweep, ny, nx, theta, mu)
     rhs: Array = v / theta
