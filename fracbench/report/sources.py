@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from fracbench.harness.config.experiment import Experiment, load_experiment
 from fracbench.harness.config.paths import checkout
 from fracbench.harness.run.plan import Plan, plan_artefact, plan_experiment
-from fracbench.harness.run.store import RUNS, Row, Store
+from fracbench.harness.run.store import STORE, Row, Store
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -101,7 +101,7 @@ class Sources:
             plan = self._plans.get(name)
             if plan is None:
                 plan = plan_artefact(experiment, self.settings, allow_download=False, small=self.small)
-            with Store(self.results / RUNS / "store.sqlite", readonly=True) as store:
+            with Store(self.results / STORE, readonly=True) as store:
                 rows = store.get_many(plan.unique())
             self._found[name] = Source(experiment, plan, rows, self.command(name))
         return self._found[name]
