@@ -1,4 +1,4 @@
-"""Flows of points as files. The store keeps numbers; pictures and oracles need the flows themselves."""
+"""Flows of points as files. The store keeps numbers; pictures need the flows themselves."""
 
 from __future__ import annotations
 

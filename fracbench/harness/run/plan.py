@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pkgutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -51,7 +51,7 @@ class Plan:
     dataset: str
     folder: Path | None
     config: RunConfig
-    notices: tuple[str, ...] = field(default=())
+    notices: tuple[str, ...] = ()
     stand_in: bool = False
     small: bool = False
 

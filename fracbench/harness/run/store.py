@@ -14,7 +14,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 from fracbench.errors import FracbenchError, InputError, unknown_name
@@ -104,9 +103,7 @@ class Store:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, exc: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -148,11 +145,6 @@ class Store:
         values = _encode(row)
         with self._transaction():
             return self._db.execute(_UPSERT, values).rowcount == 1
-
-    def delete(self, keys: Iterable[str]) -> int:
-        """Delete the rows of these keys, all or none, and return how many there were."""
-        with self._transaction():
-            return self._db.executemany("DELETE FROM points WHERE key = ?", [(k,) for k in keys]).rowcount
 
     def _select(self, condition: str, parameters: Sequence[str]) -> list[Row]:
         with self._translated():

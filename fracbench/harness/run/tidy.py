@@ -12,15 +12,10 @@ from fracbench.harness.run.store import Row
 if TYPE_CHECKING:
     import pandas as pd
 
-
 METRICS = ("aae", "aepe", "sdae")
-
-
 #: Columns of a tidy table that are computed. Seconds are not among them: they differ from run to run, and
 #: a table that is computed again must not differ by a byte. They are in the store.
 COUNTS = ("n_pixels", "n_unknown", "n_nonfinite")
-
-
 RESULT_COLUMNS = (*METRICS, *COUNTS)
 
 
