@@ -29,7 +29,7 @@ from fracbench.methods.registry import get_method
 from fracbench.model.params import FlowParams
 from fracbench.model.structure import structure_classes
 
-#: A flow has diverged if its regularity is so many times the energy of no flow at all. For a minimiser the ratio
+#: A flow has diverged if its regularity is this many times the energy of no flow at all. For a minimiser the ratio
 #: is below 1; it has been seen near 40 where the data term has next to no weight (lambda = 1e-5).
 GROWN = 100.0
 
@@ -160,7 +160,7 @@ def _warm_up(name: str, params: FlowParams) -> None:
 
     From then on the process computes on one thread: tables must not depend on the number of jobs.
     """
-    # What is called follows from the words among the parameters, and from the numbers that are 0: off.
+    # The words among the parameters, and the numbers that are 0 (off), tell which functions are called.
     switches = [value if isinstance(value, str) else bool(value) for value in params.as_dict().values()]
     variant = (name, *switches)
     if variant not in _warmed:

@@ -1,4 +1,4 @@
-"""How long a plan will take, from what the store remembers of its like."""
+"""The time that a plan will take, by the stored points of its kinds."""
 
 from __future__ import annotations
 

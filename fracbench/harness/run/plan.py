@@ -1,4 +1,4 @@
-"""From overrides to points: what is to be computed, and how it is labelled."""
+"""From overrides to the points that are to be computed, and their labels."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class PlannedPoint:
 
 @dataclass(frozen=True)
 class Plan:
-    """Points in the order of the grid, and what holds for all of them.
+    """Points in the order of the grid, and the settings that they share.
 
     Distinct labels may share a point, which is computed once. `config` is that of the first point; `folder` is
     where the Middlebury data are; `stand_in` tells whether synthetic scenes take the place of Middlebury

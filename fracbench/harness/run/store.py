@@ -19,7 +19,7 @@ from typing import Any, Self
 from fracbench.errors import FracbenchError, InputError, unknown_name
 from fracbench.harness.run.sqlite import DAMAGED, STATUSES, explain, open_to_read, open_to_write, transaction
 
-#: Where the store and what is computed for pictures are, below the results folder.
+#: The folders of the store and of flows for pictures, below the results folder.
 RUNS = "runs"
 STORE = Path(RUNS) / "store.sqlite"
 
@@ -37,7 +37,7 @@ def _now() -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """What is known of one point; numbers that are not finite come back as None, arrays and tuples as lists.
+    """The result of one point and its origin; numbers that are not finite come back as None, tuples as lists.
 
     The `key` hashes everything the result depends on, the `identity` the `spec` alone, without solver version and
     data: rows of one identity are the same point, run under different circumstances. `seconds` and `peak_mib` are

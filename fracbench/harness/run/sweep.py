@@ -21,13 +21,13 @@ from fracbench.harness.run.pool import LocalPool, Pool
 from fracbench.harness.run.store import Row, Store
 from fracbench.model import SOLVER_VERSION
 
-#: So often a point is started whose worker dies.
+#: A point whose worker dies is started this many times.
 MAX_ATTEMPTS = 2
 
 #: None on Windows, where two sweeps at once are as safe but do not share the work.
 fcntl: Any = importlib.import_module("fcntl") if importlib.util.find_spec("fcntl") else None
 
-#: How long to wait before asking again for points that another sweep has claimed, seconds.
+#: Seconds between two looks at points that another sweep has claimed.
 _LOOK_SECONDS = 0.2
 
 OnRow = Callable[[Row], None]
@@ -183,7 +183,7 @@ class _Sweep:
         self._under_way.clear()
 
     def _jobs(self, keys: deque[str]) -> Iterator[Job]:
-        """Claim points and yield them as jobs; note what other sweeps have claimed or finished."""
+        """Claim points and yield them as jobs; note the points that other sweeps have claimed or finished."""
         while keys:
             key = keys.popleft()
             if not self._claims.take(key):
