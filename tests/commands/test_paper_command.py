@@ -92,8 +92,12 @@ def test_a_process_that_dies_while_it_draws_is_one_line(paper, cli, monkeypatch)
 
 def test_data_that_cannot_be_had_are_looked_for_once(paper, cli, no_middlebury, monkeypatch):
     asked = []
-    plan = reproduce.plan_experiment
-    monkeypatch.setattr(reproduce, "plan_experiment", lambda *a, **k: asked.append(list(a[1])) or plan(*a, **k))
+
+    def noting(plan):
+        return lambda *a, **k: asked.append(list(a[1])) or plan(*a, **k)
+
+    for name in ("plan_experiment", "plan_artefact"):
+        monkeypatch.setattr(reproduce, name, noting(getattr(reproduce, name)))
     done = cli("report", "--dry-run", "paths.results=out")
     assert asked == [["paths.results=out"], *[["paths.results=out", "dataset=synthetic"]] * 2]
     assert done.out.startswith("6 points, 0 stored, 6 to compute")
