@@ -191,9 +191,9 @@ def test_the_examples_hold():
 
 
 def test_the_public_names_are_there():
-    assert {"estimate_flow", "FlowParams", "FlowResult"} <= set(fracbench.__all__)
+    assert {"estimate_flow", "FlowParams", "FlowResult", "Method"} <= set(fracbench.__all__)
     for name in fracbench.__all__:
         assert getattr(fracbench, name) is not None
-    assert inspect.signature(estimate_flow).parameters["method"].default == api.DEFAULT_METHOD
+    assert inspect.signature(estimate_flow).parameters["protocol"].default == api.DEFAULT_PROTOCOL
     with pytest.raises(AttributeError, match="no attribute 'estimate_fow'"):
         _ = fracbench.estimate_fow

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 STUDIES = {"size": "growth", "jobs": "jobs", "roofline": "roofline"}
 
 
-def bench(study: str | None, tokens: Sequence[str], *, repeats: int, threads: int, only: Sequence[str]) -> None:
-    """Time the contenders, print the table, write CSV and picture below ``results/runs/bench``.
+def bench(study: str | None, tokens: Sequence[str], *, repeats: int, threads: int, only: Sequence[str]) -> bool:
+    """Time the contenders, print the table, write CSV and picture; say whether no contender failed.
 
     `tokens` choose sequences, data set and paths; `threads` are those of the solver and of OpenCV.
     """
@@ -49,6 +49,7 @@ def bench(study: str | None, tokens: Sequence[str], *, repeats: int, threads: in
     figure = figures.error_against_time(summary, f"Error against time, {threads} thread(s)")
     for path in save_figure(figure, stem):
         console.say(f"wrote {path}")
+    return {racer.name for racer in racers} == set(summary["contender"])
 
 
 def results_stem(tokens: Sequence[str], name: str) -> Path:

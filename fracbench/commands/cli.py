@@ -334,11 +334,14 @@ def _compare(arguments: argparse.Namespace) -> int:
     return EXIT_DONE if maintain.compare_runs(arguments.first, arguments.second) else EXIT_CHECK
 
 
-def _bench(arguments: argparse.Namespace) -> None:
+def _bench(arguments: argparse.Namespace) -> int:
     from fracbench.commands.bench import bench
 
     only = [name for name in arguments.only.split(",") if name]
-    bench(arguments.study, arguments.overrides, repeats=arguments.repeats, threads=arguments.threads, only=only)
+    whole = bench(
+        arguments.study, arguments.overrides, repeats=arguments.repeats, threads=arguments.threads, only=only
+    )
+    return EXIT_DONE if whole else EXIT_FAILED
 
 
 def _data(arguments: argparse.Namespace) -> int:
@@ -358,11 +361,16 @@ def _data(arguments: argparse.Namespace) -> int:
 
 
 def _methods(_: argparse.Namespace) -> None:
-    from fracbench.methods.registry import METHODS
+    from fracbench.methods.registry import all_methods
 
-    for method in METHODS.values():
+    methods, unusable = all_methods()
+    for method in methods:
         console.say(f"{method.name}: {method.label}, {method.summary}")
-        console.say(f"    depends on {', '.join(sorted(method.uses))}")
+        if method.package:
+            console.say(f"    from {method.package} {method.release}, version {method.version or 'not given'}")
+        console.say(f"    depends on {', '.join(sorted(method.uses)) or 'no parameters'}")
+    for line in unusable:
+        console.say(f"cannot be used: {line}")
 
 
 if __name__ == "__main__":

@@ -142,7 +142,7 @@ def run_point(tokens: Sequence[str]) -> None:
     point = planned.point
     folder = ensure_folder(plan.config.results / RUNS / "flows")
     frame0, frame1, truth, inner = point_arrays(point, plan.folder)
-    result = get_method(point.method).estimate(frame0, frame1, point.params)
+    result = get_method(point.method).compute(frame0, frame1, point.params)
     flow = result.flow[(slice(None), *inner)]
     place = planned.labels["sequence" if point.region is None else "region"]
     name = f"{place}_{point.method}_{point.key[:8]}"
@@ -169,19 +169,15 @@ def estimate_pair(
 
     The errors are printed if the true flow is given. `method` is by default that of the protocol in `overrides`.
     """
-    from fracbench.api import estimate_flow
+    from fracbench.api import DEFAULT_PROTOCOL, estimate_flow, settings_of
     from fracbench.data.files import read_flow, read_image
-    from fracbench.harness.config.compose import protocol_settings
-    from fracbench.model.params import FlowParams
 
     grid = parse_overrides(overrides)
     if grid.size > 1:
         raise InputError(f"estimate takes one value a parameter ({' '.join(overrides)}); use sweep for grids")
-    given = dict(next(grid.points()))
-    protocol = given.pop("protocol", "")
-    protocol_method, preset = protocol_settings(protocol or "recommended")
-    values: dict[str, Any] = {**preset, **given}
-    FlowParams().replace(values)
+    given: dict[str, Any] = next(grid.points())
+    protocol = given.pop("protocol", DEFAULT_PROTOCOL)
+    settings_of(protocol, method, given)  # which refuses what is wrong before anything is read
     picture = color or picture_beside(output)
     _require_outputs(output, picture, [path for path in (frame0, frame1, truth) if path is not None])
     first, second = read_image(frame0), read_image(frame1)
@@ -191,10 +187,9 @@ def estimate_pair(
             f"{truth}: the true flow is {expected.shape[2]} x {expected.shape[1]}, the frames are "
             f"{first.shape[1]} x {first.shape[0]} (width x height)"
         )
-    result = estimate_flow(first, second, method=method or protocol_method.name, threads=threads, **values)
+    result = estimate_flow(first, second, protocol=protocol, method=method, threads=threads, **given)
     changes = " ".join(token for token in overrides if token != f"protocol={protocol}")
-    preset_name = f"preset {protocol or 'recommended'}"
-    _say_result(result, f"{preset_name} with {changes}" if changes else preset_name)
+    _say_result(result, f"preset {protocol} with {changes}" if changes else f"preset {protocol}")
     if expected is not None:
         say_errors(result.flow, expected)
     write_flow_and_picture(result.flow, output, picture)

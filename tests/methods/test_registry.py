@@ -75,9 +75,9 @@ def test_the_papers_methods_are_registered():
     for name, method in METHODS.items():
         assert method.name == name
         assert method.summary and "\n" not in method.summary
-        assert method.uses <= set(FlowParams.names())
+        assert method.uses <= set(method.names)
         assert set(method.defaults) <= method.uses
-        FlowParams().replace(method.defaults)
+        assert method.values(method.start()).keys() == method.uses
 
 
 def test_every_parameter_is_varied_here():

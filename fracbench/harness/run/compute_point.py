@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import pkgutil
 import time
-import traceback
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -24,6 +23,7 @@ from fracbench.harness.run import provenance
 from fracbench.harness.run.message import Outcome
 from fracbench.harness.run.point import MEASURES, Point
 from fracbench.harness.run.provenance import peak_mib, reset_peak
+from fracbench.methods.method import Method, described
 from fracbench.methods.paper import energy_growth
 from fracbench.methods.registry import get_method
 from fracbench.model.params import FlowParams
@@ -47,9 +47,7 @@ def run_point(point: Point, folder: Path | None, guard: Guard = nullcontext) -> 
     except FracbenchError as exc:
         return Outcome("failed", str(exc), {}, None, None, machine)
     except Exception as exc:
-        place = traceback.extract_tb(exc.__traceback__)[-1]
-        message = f"{type(exc).__name__}: {exc} ({Path(place.filename).name}:{place.lineno})"
-        return Outcome("failed", " ".join(message.split()), {}, None, None, machine)
+        return Outcome("failed", described(exc), {}, None, None, machine)
 
 
 def _compute(point: Point, folder: Path | None, machine: dict[str, Any], guard: Guard) -> Outcome:
@@ -58,13 +56,16 @@ def _compute(point: Point, folder: Path | None, machine: dict[str, Any], guard: 
     frame0, frame1, truth, inner = point_arrays(point, folder)
     if truth is None:
         raise InputError(f"sequence {point.sequence}: has no true flow to compare with")
-    method = get_method(point.method)
-    params = point.params
-    _warm_up(point.method, params)
+    method = get_method(point.method).require()
+    if method.stamp != point.version:
+        versions = f"this worker has {method.stamp!r}, the sweep {point.version!r}"
+        raise InputError(f"{method.origin}: {versions}; install the same version")
+    params = method.restored(point.params)
+    _warm_up(method, params)
     reset_peak()
     started = time.perf_counter()
     with guard():
-        flow_result = method.estimate(frame0, frame1, params)
+        flow_result = method.compute(frame0, frame1, params)
     seconds = time.perf_counter() - started
     scored = flow_result.flow[(slice(None), *inner)], truth[(slice(None), *inner)]
     errors = flow_errors(*scored)
@@ -92,7 +93,7 @@ def _compute(point: Point, folder: Path | None, machine: dict[str, Any], guard: 
 
 def _measure(point: Point, folder: Path | None, machine: dict[str, Any], guard: Guard) -> Outcome:
     measure = pkgutil.resolve_name(MEASURES[point.score])
-    _warm_up(point.method, point.params)
+    _warm_up(get_method(point.method), point.params)
     reset_peak()
     started = time.perf_counter()
     with threadpool_limits(1), guard():  # a measure may have loaded further libraries
@@ -100,9 +101,7 @@ def _measure(point: Point, folder: Path | None, machine: dict[str, Any], guard: 
     return Outcome("done", None, result, time.perf_counter() - started, peak_mib(), machine)
 
 
-def _divergence(
-    name: str, frame0: Any, frame1: Any, flow: Any, params: FlowParams, stop: str, n_bad: int
-) -> str | None:
+def _divergence(name: str, frame0: Any, frame1: Any, flow: Any, params: Any, stop: str, n_bad: int) -> str | None:
     if stop == "diverged":
         return f"diverged: {n_bad} pixels of the flow are not finite"
     growth = energy_growth(name, frame0, frame1, flow, params, enough=GROWN)
@@ -155,17 +154,20 @@ def _sequence_of(point: Point, folder: Path | None) -> FramePair:
 _warmed: set[tuple[str | bool, ...]] = set()
 
 
-def _warm_up(name: str, params: FlowParams) -> None:
+def _warm_up(method: Method, params: Any) -> None:
     """Compile, or load from numba's cache, all that a method calls, outside every timing.
 
     From then on the process computes on one thread: tables must not depend on the number of jobs.
     """
     # The words among the parameters, and the numbers that are 0 (off), tell which functions are called.
-    switches = [value if isinstance(value, str) else bool(value) for value in params.as_dict().values()]
-    variant = (name, *switches)
+    own = isinstance(params, FlowParams)
+    switches = [value if isinstance(value, str) else bool(value) for value in vars(params).values()]
+    variant = (method.name, *switches)
     if variant not in _warmed:
         tiny = np.random.default_rng(0).uniform(0.0, 255.0, (2, 32, 32))
-        small = params.replace({"n_scales": 2, "n_warps": 1, "max_iter": 2, "max_inner": 2})
-        get_method(name).estimate(tiny[0], tiny[1], small)
+        small = params.replace({"n_scales": 2, "n_warps": 1, "max_iter": 2, "max_inner": 2}) if own else params
+        # frames so small may be refused by a method that can do with larger ones
+        with nullcontext() if own else suppress(Exception):
+            method.compute(tiny[0], tiny[1], small)
         threadpool_limits(1)  # of all libraries that are loaded by now
         _warmed.add(variant)

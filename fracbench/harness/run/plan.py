@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pkgutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -12,11 +12,22 @@ from typing import Any
 from fracbench.data.datasets.registry import get_dataset, list_sequences, shape_of
 from fracbench.data.regions import Region, shifted
 from fracbench.errors import InputError, unknown_name
-from fracbench.harness.config.compose import GROUPS, PARALLEL, RunConfig, group_options, known_keys, load_config
+from fracbench.harness.config.compose import (
+    GROUPS,
+    PARALLEL,
+    SETTINGS,
+    RunConfig,
+    group_options,
+    known_keys,
+    load_config,
+    own_files,
+)
 from fracbench.harness.config.experiment import Experiment
 from fracbench.harness.config.grid import Axis, Grid, expand_names, parse_overrides
 from fracbench.harness.config.numbers import MAX_POINTS
 from fracbench.harness.run.point import Point, canonical_value
+from fracbench.methods.method import Method
+from fracbench.model.params import FlowParams
 
 #: The artefacts that show measures, and the functions that plan these: ``"module:function"``, called as
 #: ``function(experiment, plan)``, which return planned points.
@@ -67,15 +78,12 @@ def make_plan(tokens: Sequence[str], *, allow_download: bool = True, small: bool
         grid = grid.thinned()
     if grid.size > MAX_POINTS:
         raise InputError(f"{' '.join(tokens)}: {grid.size} points are more than the limit of {MAX_POINTS}")
-    _check_keys(grid)
-    configs = [_configure(values) for values in grid.points()]
-    for method in {config.method.name: config.method for config in configs}.values():
-        method.require()
+    configs, idle = _configure(grid)
     wanting = next((config for config in configs if config.sequence.dataset == "middlebury"), None)
     resolved = _resolve_data(wanting or configs[0], allow_download)
     points = [_planned(config, resolved.dataset, resolved.folder) for config in configs]
     notices = [resolved.notice] if resolved.notice else []
-    notices += _idle_keys([key for axis in grid.axes for key in axis.keys], points)
+    notices += idle
     stand_in = wanting is not None and resolved.dataset == "synthetic"
     return Plan(
         points=tuple(points),
@@ -145,7 +153,8 @@ def _expand_globs(grid: Grid) -> Grid:
         names = [value[0] for value in axis.values]
         if key == "region" and names == ["none"]:
             return axis
-        options = group_options(key)
+        # `all` means the regions of the paper; those of the working folder have to be named.
+        options = group_options(key, own=not (key == "region" and names == ["all"]))
         if key == "sequence":
             # `all` means the sequences of the paper, in its order; the scenes have to be named.
             paper = [name.lower() for name in list_sequences("middlebury")]
@@ -155,8 +164,8 @@ def _expand_globs(grid: Grid) -> Grid:
     return replace(grid, axes=tuple(expand(axis) for axis in grid.axes))
 
 
-def _check_keys(grid: Grid) -> None:
-    allowed = known_keys()
+def _check_keys(grid: Grid, methods: Iterable[Method]) -> None:
+    allowed = known_keys(methods)
     keys = [key for axis in grid.axes for key in axis.keys]
     for key in keys:
         name = key.removeprefix("params.")
@@ -169,16 +178,39 @@ def _check_keys(grid: Grid) -> None:
             raise InputError(f"{key!r} takes one value, which holds for all points")
 
 
-def _configure(values: Mapping[str, str]) -> RunConfig:
-    choices = tuple((key, value) for key, value in values.items() if key in GROUPS)
-    rest = {key: value for key, value in values.items() if key not in GROUPS}
-    return _chosen(choices).override(rest)
+def _configure(grid: Grid) -> tuple[list[RunConfig], list[str]]:
+    """Return the configuration of each point, and notices of parameters that change nothing."""
+    state, parts = own_files(), []
+    for values in grid.points():
+        choices = tuple((key, value) for key, value in values.items() if key in GROUPS)
+        parts.append((_chosen(choices, state), {key: value for key, value in values.items() if key not in GROUPS}))
+    methods = {base.method.name: base.method for base, _ in parts}
+    _check_keys(grid, methods.values())
+    for method in methods.values():
+        method.require()
+    names = [key.removeprefix("params.") for axis in grid.axes for key in axis.keys if key not in SETTINGS]
+    notices = _idle_keys([name for name in names if name not in GROUPS], methods)
+    return [base.override(_known(base.method, values)) for base, values in parts], notices
 
 
 @lru_cache(maxsize=256)
-def _chosen(choices: tuple[tuple[str, str], ...]) -> RunConfig:
+def _chosen(choices: tuple[tuple[str, str], ...], _: object) -> RunConfig:
     # Thousands of points share a few choices of groups; checking a record takes a millisecond.
     return load_config(dict(choices))
+
+
+def _known(method: Method, values: Mapping[str, str]) -> Mapping[str, str]:
+    """Leave out the parameters that only other methods of the grid have, or `FlowParams` alone."""
+    known: dict[str, str] = {}
+    ours: dict[str, str] = {}
+    for key, value in values.items():
+        name = key.removeprefix("params.")
+        if key in SETTINGS or name in method.names:
+            known[key] = value
+        elif name in FlowParams.names():
+            ours[name] = value
+    FlowParams().replace(ours)  # a value out of range is refused even where it has no effect
+    return known
 
 
 def _resolve_data(config: RunConfig, allow_download: bool) -> Any:
@@ -208,6 +240,7 @@ def _planned(config: RunConfig, dataset: str, folder: Path | None) -> PlannedPoi
         noise=noise,
         seed=seed,
         score=config.score,
+        version=config.method.stamp,
     )
     labels = {
         "dataset": dataset,
@@ -239,13 +272,13 @@ def _digest(name: str, dataset: str, folder: Path | None, noise: float, seed: in
     return get_dataset(dataset).digest(name, folder, noise=noise, seed=seed)
 
 
-def _idle_keys(keys: Sequence[str], points: Sequence[PlannedPoint]) -> list[str]:
-    """Say which of the grid's parameters change nothing, because no method in the plan uses them."""
-    from fracbench.methods.registry import get_method
-    from fracbench.model.params import FlowParams
-
-    used = set().union(*(get_method(planned.point.method).uses for planned in points))
-    names = [key.removeprefix("params.") for key in keys]
-    return [
-        f"`{name}` does not affect the method" for name in names if name in FlowParams.names() and name not in used
-    ]
+def _idle_keys(names: Sequence[str], methods: Mapping[str, Method]) -> list[str]:
+    """Say which of the grid's parameters change nothing, for all methods or for some that do not have them."""
+    notices = []
+    for name in names:
+        without = [method.name for method in methods.values() if name not in method.names]
+        if not any(name in method.uses for method in methods.values()):
+            notices.append(f"`{name}` does not affect the method")
+        elif without:
+            notices.append(f"{', '.join(without)} does not know `{name}`: one point stands for all its values")
+    return notices

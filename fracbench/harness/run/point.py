@@ -24,22 +24,20 @@ MEASURES = {
 #: The dataset and the sequence of a point that needs no data.
 NO_DATA = "none"
 
-#: Parameters younger than stored results, with the values that leave these as they are: no part of a key.
-_YOUNGER = {"texture": "0", "occlusion": "median"}
-
 
 @dataclass(frozen=True)
 class Point:
     """One computation: everything its result depends on, and nothing else.
 
-    Parameters that the method does not use, and the region's name, are no part of the key. `context` counts pixels
-    around the region that take part in the computation; `data_digest` is the data's SHA-256; `noise` (gray levels)
-    and `seed` are of a rendered scene. `score` is ``"frame"``, ``"structure"`` for errors by class of pixels as
-    well, or one of `MEASURES`; its `options` are numbers or tuples of numbers.
+    Parameters that the method does not use, and the region's name, are no part of the key. `params` are
+    `FlowParams` or another frozen dataclass; `context` counts pixels around the region that take part in the
+    computation; `data_digest` is the data's SHA-256; `noise` (gray levels) and `seed` are of a rendered scene.
+    `score` is ``"frame"``, ``"structure"`` for errors by class of pixels as well, or one of `MEASURES`; its
+    `options` are numbers or tuples of numbers. `version` is `Method.stamp`.
     """
 
     method: str
-    params: FlowParams
+    params: Any
     dataset: str
     sequence: str
     region: Region | None
@@ -49,24 +47,34 @@ class Point:
     seed: int = 0
     score: str = "frame"
     options: tuple[tuple[str, Any], ...] = ()
+    version: str = ""
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickle parameters of a package as plain values: a worker that lacks the package says so in a row."""
+        params = self.params if isinstance(self.params, FlowParams) else dict(vars(self.params))
+        return {**vars(self), "spec": self.spec, "params": params}
 
     @cached_property
     def canonical(self) -> dict[str, str]:
         """The parameters that the method uses, sorted by public name: words, and numbers as decimals."""
-        params = self.params.as_dict()
-        return {name: canonical_value(params[name]) for name in sorted(get_method(self.method).uses)}
+        return {
+            name: canonical_value(value) for name, value in get_method(self.method).values(self.params).items()
+        }
 
-    @property
+    @cached_property
     def spec(self) -> dict[str, Any]:
-        """The canonical form, without the data's content; noise to options, and `_YOUNGER`, only where unusual."""
-        usual: dict[str, Any] = {"noise": "0", "seed": 0, "score": "frame", "options": {}}
-        values = {"noise": canonical_value(self.noise), "seed": self.seed, "score": self.score}
+        """The canonical form, without the data's content; younger entries only where they are unusual."""
+        usual: dict[str, Any] = {"noise": "0", "seed": 0, "score": "frame", "options": {}, "version": ""}
+        values: dict[str, Any] = {
+            "noise": canonical_value(self.noise), "seed": self.seed, "score": self.score, "version": self.version
+        }  # fmt: skip
         values["options"] = {name: _canonical_option(value) for name, value in self.options}
+        younger = {name: canonical_value(value) for name, value in get_method(self.method).younger.items()}
         region = self.region
         return {
             **{name: value for name, value in values.items() if value != usual[name]},
             "method": self.method,
-            "params": {name: value for name, value in self.canonical.items() if _YOUNGER.get(name) != value},
+            "params": {name: value for name, value in self.canonical.items() if younger.get(name) != value},
             "dataset": self.dataset,
             "sequence": self.sequence,
             "box": None if region is None else [*region.rows, *region.cols],
@@ -75,8 +83,8 @@ class Point:
 
     @property
     def identity(self) -> str:
-        """SHA-256 of the canonical form alone."""
-        return _sha256(self.spec)
+        """SHA-256 of the canonical form alone, for any version of the method."""
+        return _sha256({name: value for name, value in self.spec.items() if name != "version"})
 
     @cached_property
     def key(self) -> str:

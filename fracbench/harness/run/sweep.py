@@ -87,6 +87,8 @@ def _reason(row: Row | None, point: Point, store: Store) -> str:
     latest = older[-1]
     if latest.solver_version != SOLVER_VERSION:
         return f"solver version {latest.solver_version} -> {SOLVER_VERSION}"
+    if latest.spec.get("version", "") != point.version:
+        return f"{point.method}: {latest.spec.get('version') or 'no version'} -> {point.version}"
     return "data changed"
 
 

@@ -45,8 +45,9 @@ def tidy(plan: Plan, rows: Mapping[str, Row]) -> pd.DataFrame:
         record["key"] = planned.point.key
         records.append(record)
     table = pd.DataFrame.from_records(records)
+    parameters = {name for planned in plan.points for name in planned.point.canonical}
     for column in table.columns:
-        if column in METRICS or column in _parameter_names():
+        if column in METRICS or column in parameters:
             table[column] = _as_numbers(table[column])
     # A point that failed has no counts; those of the others stay whole numbers.
     return table.astype(dict.fromkeys((*COUNTS, "iterations", "inner_iterations"), "Int64"))
@@ -54,12 +55,6 @@ def tidy(plan: Plan, rows: Mapping[str, Row]) -> pd.DataFrame:
 
 def _total(levels: Sequence[Sequence[int]] | None) -> int | None:
     return None if levels is None else sum(sum(level) for level in levels)
-
-
-def _parameter_names() -> tuple[str, ...]:
-    from fracbench.model.params import FlowParams
-
-    return FlowParams.names()
 
 
 def _as_numbers(column: pd.Series) -> pd.Series:

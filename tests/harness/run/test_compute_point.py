@@ -18,6 +18,7 @@ from fracbench.evaluation.metrics import flow_errors
 from fracbench.harness.run import compute_point
 from fracbench.harness.run.compute_point import point_arrays, run_point
 from fracbench.harness.run.point import Point
+from fracbench.methods.method import Method
 from fracbench.methods.paper import energy_growth
 from fracbench.methods.registry import get_method
 from fracbench.model.coarse_to_fine import FlowResult
@@ -35,7 +36,8 @@ def a_point(method="tvl1", scene="edge", box=None, context=0, digest=None, **val
 
 
 def use_method(monkeypatch, estimate):
-    monkeypatch.setattr(compute_point, "get_method", lambda name: SimpleNamespace(estimate=estimate))
+    method = Method("fake", "fake", "fake", estimate, frame_dtype=None)
+    monkeypatch.setattr(compute_point, "get_method", lambda name: method)
     monkeypatch.setattr(compute_point, "_warmed", set())
 
 
