@@ -122,7 +122,7 @@ class Method:
 
     def values(self, params: Any) -> dict[str, Any]:
         """Return the values that a result depends on, sorted by public name."""
-        values = {public_name(name): value for name, value in vars(params).items()}
+        values = {public_name(name): value for name, value in fields_of(params).items()}
         return {name: values[name] for name in sorted(self.uses)}
 
     def offered_by(self, package: str, release: str) -> Method:
@@ -235,6 +235,11 @@ class Method:
         if n_bad := np.count_nonzero(~np.isfinite(array)):
             raise FracbenchError(f"{self.origin}: {n_bad} of {array.size} values of its flow are NaN or infinite")
         return array
+
+
+def fields_of(params: Any) -> dict[str, Any]:
+    """Return the values of a dataclass by field."""
+    return {each.name: getattr(params, each.name) for each in dataclasses.fields(params)}
 
 
 def described(exc: BaseException) -> str:

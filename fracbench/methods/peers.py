@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
-from fracbench.methods.method import Method
+from fracbench.methods.method import Method, fields_of
 from fracbench.model.params import public_name
 
 if TYPE_CHECKING:
@@ -119,7 +119,7 @@ def _peer(
     name: str, label: str, summary: str, estimate: Any, params: type, module: str, **defaults: Any
 ) -> Method:
     # results of these values were stored before there were parameters
-    start = {public_name(name): value for name, value in {**vars(params()), **defaults}.items()}
+    start = {public_name(name): value for name, value in {**fields_of(params()), **defaults}.items()}
     return Method(
         name,
         label,

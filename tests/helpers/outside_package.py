@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
+
+from fracbench.harness.run import plan
+from fracbench.methods import packages, registry
 
 #: A method whose flow is one motion for all pixels.
 SOURCE = """
@@ -13,7 +17,7 @@ import numpy as np
 from fracbench import FlowResult, Method
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Params:
     strength: float = 1.0
     direction: str | None = None
@@ -51,3 +55,13 @@ def write_package(
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {release}\n")
     (info / "entry_points.txt").write_text(f"[fracbench.methods]\n{entries}\n")
     return folder
+
+
+def forget() -> None:
+    """Let this process look for packages again."""
+    packages.offered.cache_clear()
+    packages._load.cache_clear()
+    registry._warn_of_taken_names.cache_clear()
+    plan._chosen.cache_clear()
+    for module in ("my_package", "your_package"):
+        sys.modules.pop(module, None)

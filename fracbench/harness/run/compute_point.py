@@ -23,7 +23,7 @@ from fracbench.harness.run import provenance
 from fracbench.harness.run.message import Outcome
 from fracbench.harness.run.point import MEASURES, Point
 from fracbench.harness.run.provenance import peak_mib, reset_peak
-from fracbench.methods.method import Method, described
+from fracbench.methods.method import Method, described, fields_of
 from fracbench.methods.paper import energy_growth
 from fracbench.methods.registry import get_method
 from fracbench.model.params import FlowParams
@@ -161,7 +161,7 @@ def _warm_up(method: Method, params: Any) -> None:
     """
     # The words among the parameters, and the numbers that are 0 (off), tell which functions are called.
     own = isinstance(params, FlowParams)
-    switches = [value if isinstance(value, str) else bool(value) for value in vars(params).values()]
+    switches = [value if isinstance(value, str) else bool(value) for value in fields_of(params).values()]
     variant = (method.name, *switches)
     if variant not in _warmed:
         tiny = np.random.default_rng(0).uniform(0.0, 255.0, (2, 32, 32))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 from fracbench.data.regions import Region
 from fracbench.harness.config.numbers import canonical_number
 from fracbench.harness.run.store import canonical_json
+from fracbench.methods.method import fields_of
 from fracbench.methods.registry import get_method
 from fracbench.model import SOLVER_VERSION
 from fracbench.model.params import FlowParams
@@ -51,8 +53,8 @@ class Point:
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle parameters of a package as plain values: a worker that lacks the package says so in a row."""
-        params = self.params if isinstance(self.params, FlowParams) else dict(vars(self.params))
-        return {**vars(self), "spec": self.spec, "params": params}
+        plain = isinstance(self.params, FlowParams | Mapping)
+        return {**vars(self), "spec": self.spec, "params": self.params if plain else fields_of(self.params)}
 
     @cached_property
     def canonical(self) -> dict[str, str]:
