@@ -41,7 +41,10 @@ def check(files: Files, project: Path) -> None:
         theirs = project / group / path.name
         if theirs.exists() and theirs.read_bytes() != path.read_bytes():  # a copy, as in a checkout, hides nothing
             raise InputError(f"{path}: the name is that of one of fracbench's own {group}s; choose another")
-        for entry in read_plain(path).get("defaults") or []:
+        defaults = read_plain(path).get("defaults", [])
+        if not isinstance(defaults, list):
+            raise InputError(f"{path}: `defaults` must be a list, got {defaults!r}")
+        for entry in defaults:
             _check_default(entry, path)
 
 
