@@ -12,6 +12,7 @@ from unittest import mock
 import common
 from threadpoolctl import threadpool_limits
 
+from fracbench.commands.bench import results_stem, write_results
 from fracbench.harness.run.compute_point import run_point
 from fracbench.harness.run.plan import make_plan
 from fracbench.model.kernels.arrays import Array
@@ -68,13 +69,13 @@ def measure(arguments: argparse.Namespace) -> None:
         )
     on, off = (sum(row[name] for row in rows) for name in ("elimination", "products"))
     rows.append({"alpha": "all", "elimination": on, "products": off})
-    common.write(rows, common.results_stem(tokens, "elimination"), f"elimination saves {1 - on / off:.1%}")
+    write_results(rows, results_stem(tokens, "elimination"), f"elimination saves {1 - on / off:.1%}")
 
 
 def main(argv: list[str]) -> int:
     """Run the benchmark and return its exit code."""
     with threadpool_limits(1):
-        return common.run(measure, common.parser(__doc__, repeats=3, default=" ".join(SWEEP)), argv)
+        return common.run(measure, common.parser(__doc__, default=" ".join(SWEEP)), argv)
 
 
 if __name__ == "__main__":
