@@ -36,7 +36,9 @@ def bench(study: str | None, tokens: Sequence[str], *, repeats: int, threads: in
     tokens = tokens or ["sequence=all"]
     racers = measure.contenders(only)
     some = "_some" if only else ""  # not in place of the race of all
-    plan, stem = make_plan(tokens), results_stem(tokens, f"bench_{threads}_threads{some}")
+    plan = make_plan(tokens)
+    data = "" if plan.dataset in ("middlebury", "synthetic") else f"_{plan.dataset}"
+    stem = results_stem(tokens, f"bench_{threads}_threads{some}{data}")
     with console.progress(len(plan.points) * len(racers) * repeats, "bench") as advance:
         records = measure.run(racers, tokens, repeats=repeats, threads=threads, on_lap=advance)
     summary = figures.summarise(records, measure.YARDSTICK)

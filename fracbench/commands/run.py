@@ -43,7 +43,7 @@ def run_experiment(
         return 0
     from fracbench.studies.registry import render, require_renderer
 
-    require_renderer(experiment)
+    require_renderer(experiment, plan)
     report = run_plan(plan, experiment.name, workers, rerun_failed=rerun_failed)
     artefact = render(experiment, plan, report.rows, plan.config.results)
     _say_computed(report)

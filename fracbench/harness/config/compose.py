@@ -15,7 +15,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from fracbench.data.datasets.registry import AUTO, DATASETS, shape_of
+from fracbench.data.datasets.registry import AUTO, dataset_names, get_dataset, is_fixed, match_sequence, shape_of
 from fracbench.data.regions import Region, require_inside
 from fracbench.errors import InputError, unknown_name
 from fracbench.harness.config import working_folder
@@ -109,8 +109,8 @@ class RunConfig:
     results: Path = Path("results")
 
     def __post_init__(self) -> None:
-        if self.dataset not in (AUTO, *DATASETS):
-            raise unknown_name("dataset", self.dataset, (AUTO, *DATASETS))
+        if self.dataset != AUTO and self.dataset not in (names := dataset_names()):
+            raise unknown_name("dataset", self.dataset, (AUTO, *names))
         if self.context < 0:
             raise InputError(f"context must be at least 0 pixels, got {self.context}")
         if self.shift is not None and not 0 <= self.shift < N_SHIFTS:
@@ -133,8 +133,6 @@ class RunConfig:
             return
         if self.region is not None:
             raise InputError(f"margin={self.margin} is of whole frames; a region takes context")
-        if 2 * self.margin >= (side := min(shape_of(self.sequence.name, self.sequence.dataset))):
-            raise InputError(f"margin={self.margin} leaves nothing of a side of {side} pixels")
 
     def override(self, values: Mapping[str, str]) -> RunConfig:
         """Return a copy with parameters and settings changed, by command-line key; groups are not among them."""
@@ -198,14 +196,18 @@ def known_keys(methods: Iterable[Method] = ()) -> list[str]:
     return [*dict.fromkeys([*GROUPS, *SETTINGS, *FlowParams.names(), *own])]
 
 
-def load_config(choices: Mapping[str, str]) -> RunConfig:
+def load_config(choices: Mapping[str, str], pair: SequenceConfig | None = None) -> RunConfig:
     """Compose and check the configuration for a choice of groups.
 
-    Groups left out take the default of ``conf/config.yaml``.
+    Groups left out take the default of ``conf/config.yaml``. A `pair` is a sequence without a
+    file there: its parameters are the protocol's.
     """
     for group, name in choices.items():
         if name not in (options := group_options(group)) and not (group == "region" and name == "none"):
             raise unknown_name(group, name, options)
+    if pair is not None:
+        raw = _composed({**choices, "sequence": "none"})
+        return _typed({**raw, "sequence": None}, choices, pair)
     return _typed(_composed(choices), choices)
 
 
@@ -259,7 +261,7 @@ _TOP_LEVEL = (
 )  # fmt: skip
 
 
-def _typed(raw: Mapping[str, Any], choices: Mapping[str, str]) -> RunConfig:
+def _typed(raw: Mapping[str, Any], choices: Mapping[str, str], pair: SequenceConfig | None = None) -> RunConfig:
     chosen = ", ".join(f"{group}={name}" for group, name in choices.items())
     where = f"configuration ({chosen})" if chosen else "configuration"
     raw = {"method": DEFAULT_METHOD, **mapping(raw, where, _TOP_LEVEL)}
@@ -271,7 +273,7 @@ def _typed(raw: Mapping[str, Any], choices: Mapping[str, str]) -> RunConfig:
     method = get_method(require_name(choices.get("method", raw["method"]), "`method`", where))
     region = None if raw["region"] is None else record(Region, raw["region"], f"{where}, region")
     protocol = require_name(raw["protocol"], "`protocol`", where)
-    sequence = _sequence(raw["sequence"], region, choices, where)
+    sequence = pair or _sequence(raw["sequence"], region, choices, where)
     for group, name in (("protocol", protocol), ("region", region.name if region else "none")):
         if name != choices.get(group, name):
             raise InputError(f"{where}: the file {choices[group]}.yaml must give the same name, not {name!r}")
@@ -319,11 +321,16 @@ def _sequence(raw: Any, region: Region | None, choices: Mapping[str, str], where
     for what, name in vars(sequence).items():
         if name is not None:
             require_name(name, f"`{what}`", f"{where}, sequence")
-    shape = shape_of(sequence.name, sequence.dataset)
+    get_dataset(sequence.dataset)
+    if is_fixed(sequence.dataset):
+        match_sequence(sequence.name, sequence.dataset)
     if sequence.stand_in is not None:
-        shape_of(sequence.stand_in, "synthetic")
+        match_sequence(sequence.stand_in, "synthetic")
     if region is None:
         return sequence
+    if not is_fixed(sequence.dataset):
+        raise InputError(f"{where}: regions belong to Middlebury; dataset {sequence.dataset} has none")
+    shape = shape_of(match_sequence(sequence.name, sequence.dataset), sequence.dataset)
     require_name(region.name, "`name`", f"{where}, region")
     if "sequence" in choices and choices["sequence"] != key:
         raise InputError(f"region={choices['region']} belongs to sequence={key}, not to {choices['sequence']}")

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from fracbench.data.datasets.registry import load_sequence
+from fracbench.data.datasets.registry import get_dataset, load_sequence
 from fracbench.data.pair import FramePair
 from fracbench.data.regions import Crop, crop
 from fracbench.errors import FracbenchError, InputError
-from fracbench.evaluation.class_errors import errors_by_class
-from fracbench.evaluation.metrics import flow_errors
+from fracbench.evaluation.class_errors import errors_by_class, errors_by_mask
+from fracbench.evaluation.metrics import flow_errors, outliers
 from fracbench.harness.run import provenance
 from fracbench.harness.run.message import Outcome
 from fracbench.harness.run.point import MEASURES, Point
@@ -54,8 +54,6 @@ def _compute(point: Point, folder: Path | None, machine: dict[str, Any], guard: 
     if point.score in MEASURES:
         return _measure(point, folder, machine, guard)
     frame0, frame1, truth, inner = point_arrays(point, folder)
-    if truth is None:
-        raise InputError(f"sequence {point.sequence}: has no true flow to compare with")
     method = get_method(point.method).require()
     if method.stamp != point.version:
         versions = f"this worker has {method.stamp!r}, the sweep {point.version!r}"
@@ -67,27 +65,18 @@ def _compute(point: Point, folder: Path | None, machine: dict[str, Any], guard: 
     with guard():
         flow_result = method.compute(frame0, frame1, params)
     seconds = time.perf_counter() - started
-    scored = flow_result.flow[(slice(None), *inner)], truth[(slice(None), *inner)]
-    errors = flow_errors(*scored)
+    flow = flow_result.flow[(slice(None), *inner)]
     result: dict[str, Any] = {
-        "aae": errors.aae,
-        "aepe": errors.aepe,
-        "sdae": errors.sdae,
-        "n_pixels": errors.n_pixels,
-        "n_unknown": errors.n_unknown,
-        "n_nonfinite": errors.n_nonfinite,
+        **_errors(point, folder, flow, None if truth is None else truth[(slice(None), *inner)]),
         "iterations": flow_result.iterations,
         "inner_iterations": [level.inner_iterations for level in flow_result.levels],
         "stop": flow_result.stop_reason,
         "phases": flow_result.seconds,
         "notices": flow_result.notices,
     }
-    if point.score == "structure":
-        classes = structure_classes(_sequence_of(point, folder).frame0)
-        by_class = errors_by_class(*scored, classes if point.region is None else classes[point.region.inside])
-        result["classes"] = {name: vars(found) for name, found in by_class.items()}
     peak = peak_mib()
-    error = _divergence(point.method, frame0, frame1, flow_result.flow, params, result["stop"], errors.n_nonfinite)
+    n_bad = result["n_nonfinite"]
+    error = _divergence(point.method, frame0, frame1, flow_result.flow, params, result["stop"], n_bad)
     return Outcome("done" if error is None else "diverged", error, result, seconds, peak, machine)
 
 
@@ -101,6 +90,27 @@ def _measure(point: Point, folder: Path | None, machine: dict[str, Any], guard: 
     return Outcome("done", None, result, time.perf_counter() - started, peak_mib(), machine)
 
 
+def _errors(point: Point, folder: Path | None, flow: Any, truth: Any) -> dict[str, Any]:
+    """Return the errors that a row keeps; without a true flow only the number of its pixels."""
+    if truth is None:
+        n_bad = int((~np.isfinite(flow)).any(axis=0).sum())
+        return {"n_pixels": 0, "n_unknown": flow[0].size, "n_nonfinite": n_bad}
+    pair = _sequence_of(point, folder)
+    inside = (slice(None), slice(None)) if point.region is None else point.region.inside
+    errors = vars(flow_errors(flow, truth))
+    names = ("aae", "aepe", "sdae", "n_pixels", "n_unknown", "n_nonfinite")
+    result: dict[str, Any] = {name: errors[name] for name in names}
+    if get_dataset(point.dataset).outliers:
+        result["fl_all"] = outliers(flow, truth)
+    if point.score == "structure":
+        by_class = errors_by_class(flow, truth, structure_classes(pair.frame0)[inside])
+        result["classes"] = {name: vars(found) for name, found in by_class.items()}
+    if pair.matched is not None:
+        masks = {"matched": pair.matched[inside], "unmatched": ~pair.matched[inside]}
+        result["masks"] = {name: vars(found) for name, found in errors_by_mask(flow, truth, masks).items()}
+    return result
+
+
 def _divergence(name: str, frame0: Any, frame1: Any, flow: Any, params: Any, stop: str, n_bad: int) -> str | None:
     if stop == "diverged":
         return f"diverged: {n_bad} pixels of the flow are not finite"
@@ -111,7 +121,7 @@ def _divergence(name: str, frame0: Any, frame1: Any, flow: Any, params: Any, sto
 
 
 @lru_cache(maxsize=8)
-def _sequence(name: str, dataset: str, folder: Path | None, noise: float, seed: int) -> FramePair:
+def _sequence(name: str, dataset: str, folder: Path | None, noise: float, seed: int, _: str) -> FramePair:
     return load_sequence(name, dataset, folder, noise=noise, seed=seed)
 
 
@@ -145,7 +155,8 @@ def point_arrays(point: Point, folder: Path | None) -> tuple[Any, Any, Any, tupl
 def _sequence_of(point: Point, folder: Path | None) -> FramePair:
     sequence = _held.get(point.data_digest)
     if sequence is None:
-        sequence = _sequence(point.sequence, point.dataset, folder, point.noise, point.seed)
+        data = point.sequence, point.dataset, folder, point.noise, point.seed
+        sequence = _sequence(*data, point.data_digest)
     if sequence.digest != point.data_digest:
         raise InputError(f"sequence {point.sequence}: the data changed while the sweep was running")
     return sequence

@@ -265,10 +265,9 @@ def _unpack(job: Job, files: Mapping[str, bytes]) -> None:
     from fracbench.harness.run import compute_point
 
     with tempfile.TemporaryDirectory(prefix="fracbench-") as name:
-        folder = Path(name) / job.point.sequence
-        folder.mkdir()
         for file, content in files.items():
-            (folder / file).write_bytes(content)
+            (Path(name) / file).parent.mkdir(parents=True, exist_ok=True)
+            (Path(name) / file).write_bytes(content)
         point = job.point
         load = get_dataset(point.dataset).load
         compute_point.hold(load(point.sequence, Path(name), noise=point.noise, seed=point.seed))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -35,7 +35,8 @@ class Point:
     `FlowParams` or another frozen dataclass; `context` counts pixels around the region that take part in the
     computation; `data_digest` is the data's SHA-256; `noise` (gray levels) and `seed` are of a rendered scene.
     `score` is ``"frame"``, ``"structure"`` for errors by class of pixels as well, or one of `MEASURES`; its
-    `options` are numbers or tuples of numbers. `version` is `Method.stamp`.
+    `options` are numbers or tuples of numbers. `version` is `Method.stamp`; `shape`, that of the frames, tells the
+    cost and is no part of the key.
     """
 
     method: str
@@ -50,6 +51,7 @@ class Point:
     score: str = "frame"
     options: tuple[tuple[str, Any], ...] = ()
     version: str = ""
+    shape: tuple[int, int] | None = field(default=None, compare=False)
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle parameters of a package as plain values: a worker that lacks the package says so in a row."""

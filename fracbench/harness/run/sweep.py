@@ -141,8 +141,12 @@ class _Sweep:
         self._todo, self._store, self._claims, self._pool = todo, store, claims, pool
         self._folder = None if plan.folder is None else plan.folder.resolve()
         self._timeout, self._commit = plan.config.parallel.timeout, provenance.commit()
-        # The longest go first, so that no worker is left with one of them in the end.
-        self._waiting = deque(sorted(todo, key=lambda key: _turn(todo[key])))
+        # The longest go first, so that no worker is left with one of them in the end, and the points of a pair
+        # together, so that each worker reads it once.
+        pairs = {(point.dataset, point.sequence): i for i, point in enumerate(todo.values())}
+        self._waiting = deque(
+            sorted(todo, key=lambda key: (*_turn(todo[key]), pairs[todo[key].dataset, todo[key].sequence]))
+        )
         self._retries: deque[str] = deque()
         self._attempts = Counter[str]()
         self._under_way: set[str] = set()
@@ -223,7 +227,7 @@ class _Sweep:
 
 
 def _turn(point: Point) -> tuple[bool, int]:
-    return point.score not in MEASURES, -pixels(point.spec)  # some measures take as long as many flows
+    return point.score not in MEASURES, -pixels(point)  # some measures take as long as many flows
 
 
 def claims_folder(store: Path) -> Path:

@@ -35,8 +35,10 @@ def tidy(plan: Plan, rows: Mapping[str, Row]) -> pd.DataFrame:
         result = row.result if row else {}
         record: dict[str, Any] = {**blank, **planned.labels, **planned.point.canonical}
         record.update({name: result.get(name) for name in RESULT_COLUMNS})
-        for name, errors in result.get("classes", {}).items():
+        for name, errors in {**result.get("classes", {}), **result.get("masks", {})}.items():
             record.update({f"{metric}_{name}": errors[metric] for metric in METRICS})
+        if "fl_all" in result:
+            record["fl_all"] = result["fl_all"]
         record["iterations"] = _total(result.get("iterations"))
         record["inner_iterations"] = _total(result.get("inner_iterations"))
         record["stop"] = result.get("stop")

@@ -243,12 +243,14 @@ def test_data_that_changed_since_they_were_planned_are_not_computed_on():
     assert "sequence edge: the data changed while the sweep was running" in outcome.error
 
 
-def test_a_sequence_without_truth_cannot_be_scored(monkeypatch):
+def test_a_sequence_without_truth_has_a_flow_and_no_errors(monkeypatch):
     frame = np.zeros((9, 9))
     bare = FramePair("edge", "synthetic", frame, frame, None, synthetic.digest("edge"))
     monkeypatch.setattr(compute_point, "_sequence", lambda *_: bare)
     outcome = run_point(a_point(), None)
-    assert (outcome.status, outcome.error) == ("failed", "sequence edge: has no true flow to compare with")
+    assert (outcome.status, outcome.error) == ("done", None)
+    assert outcome.result["n_unknown"] == 81 and outcome.result["n_pixels"] == 0
+    assert not {"aae", "aepe", "sdae", "fl_all"} & set(outcome.result)
 
 
 # -- rendered scenes and classes of pixels -------------------------------------------------------

@@ -16,7 +16,6 @@ from fracbench.data.datasets.middlebury import SEQUENCES, Resolved
 from fracbench.data.datasets.synthetic import scenes as synthetic
 from fracbench.errors import InputError
 from fracbench.harness.config.compose import group_options, load_config
-from fracbench.harness.run import plan as plan_module
 from fracbench.harness.run import point as point_module
 from fracbench.harness.run.plan import Plan, make_plan, plan_experiment
 from fracbench.harness.run.point import canonical_value
@@ -66,9 +65,7 @@ def middlebury_found(monkeypatch):
         middlebury_data, "_look_up", lambda explicit: middlebury_data.Location(Path("m"), "test", 24)
     )
     monkeypatch.setattr(middlebury_data, "digest", lambda sequence, folder: f"{folder}/{sequence}")
-    plan_module._digest.cache_clear()
     yield
-    plan_module._digest.cache_clear()
 
 
 # -- which points --------------------------------------------------------------------------------
@@ -229,10 +226,8 @@ def test_a_key_changes_with_whatever_else_matters(middlebury_found):
 
 def test_a_key_changes_with_the_content_of_the_data(middlebury_found, monkeypatch):
     base = key("sequence=grove2")
-    plan_module._digest.cache_clear()
     assert key("sequence=grove2") == base
     monkeypatch.setattr(middlebury_data, "digest", lambda sequence, folder: "another")
-    plan_module._digest.cache_clear()
     changed = plan("sequence=grove2").points[0].point
     assert changed.key != base
     assert changed.identity == dataclasses.replace(changed, data_digest="x").identity
