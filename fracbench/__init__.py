@@ -6,18 +6,22 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fracbench.api import estimate_flow
+    from fracbench.data.datasets.base import Dataset
+    from fracbench.data.pair import FramePair
     from fracbench.methods.method import Method
     from fracbench.model.coarse_to_fine import FlowResult
     from fracbench.model.params import FlowParams
 
 __version__ = "0.1.0"
-__all__ = ["FlowParams", "FlowResult", "Method", "__version__", "estimate_flow"]
+__all__ = ["Dataset", "FlowParams", "FlowResult", "FramePair", "Method", "__version__", "estimate_flow"]
 
 _HOMES = {
     "estimate_flow": "fracbench.api",
     "FlowResult": "fracbench.model.coarse_to_fine",
     "FlowParams": "fracbench.model.params",
     "Method": "fracbench.methods.method",
+    "Dataset": "fracbench.data.datasets.base",
+    "FramePair": "fracbench.data.pair",
 }
 
 

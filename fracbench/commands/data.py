@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from fracbench.commands import console
-from fracbench.errors import DataError, InputError, unknown_name
+from fracbench.errors import InputError, unknown_name
 from fracbench.harness.config.grid import parse_overrides
 
 _SHOWN = 6
@@ -13,8 +13,6 @@ _SHOWN = 6
 
 def show(tokens: Sequence[str] = (), *, download: bool = False) -> bool:
     """List all datasets, or ``dataset=NAME`` alone; tell whether Middlebury's files, if shown, are whole."""
-    from fracbench.data.datasets.registry import dataset_names, unusable
-
     given = parse_overrides(tokens).fixed
     for key in given:
         if key not in (allowed := ("dataset", "paths.data")):
@@ -29,12 +27,7 @@ def show(tokens: Sequence[str] = (), *, download: bool = False) -> bool:
         return _show_middlebury(folder, download=download)
     finally:
         if chosen is None:
-            bad = unusable()
-            for name in dataset_names():
-                if name != "middlebury" and not any(line.startswith(f"dataset {name!r} ") for line in bad):
-                    _show_state(name)
-            for line in bad:
-                console.say(line)
+            _show_others()
 
 
 def _show_middlebury(folder: str | None, *, download: bool) -> bool:
@@ -55,16 +48,23 @@ def _show_middlebury(folder: str | None, *, download: bool) -> bool:
     return whole
 
 
-def _show_state(name: str) -> None:
-    """Say in one line what a dataset is and, if it has files, where they are or how to provide them."""
-    from fracbench.data.datasets.registry import find_folder, get_dataset
+def _show_others() -> None:
+    """Say in one line of each dataset what it is and, if it has files, where they are or how to provide them."""
+    from fracbench.data.datasets.registry import all_datasets, find_folder
 
-    try:
-        folder = find_folder(name)
-    except DataError as exc:
-        console.say(f"{name}: missing: {str(exc).removeprefix(f'{name}: ')}")
-        return
-    console.say(f"{name}: {get_dataset(name).summary}" if folder is None else f"{name}: found at {folder}")
+    datasets, unusable = all_datasets()
+    for dataset in datasets:
+        if dataset.name == "middlebury":
+            continue
+        try:
+            folder = find_folder(dataset.name)
+        except InputError as exc:
+            state = f"missing: {str(exc).removeprefix(f'{dataset.name}: ')}"
+        else:
+            state = dataset.summary if folder is None else f"found at {folder}"
+        console.say(f"{dataset.name}: {state}")
+    for line in unusable:
+        console.say(f"cannot be used: {line}")
 
 
 def _show_one(name: str, given: str | None) -> None:

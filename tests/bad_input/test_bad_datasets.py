@@ -253,9 +253,9 @@ def test_layouts_of_kitti_that_cannot_be_used(work, refused):
 # -- packages ------------------------------------------------------------------------------------
 
 GOOD = """
-from fracbench.data.datasets.base import Dataset
 import numpy as np
-from fracbench.data.pair import FramePair
+
+from fracbench import Dataset, FramePair
 
 def load(name, folder, *, noise, seed):
     return FramePair(name, "good", np.eye(16), np.eye(16), np.zeros((2, 16, 16)), "digest")
@@ -277,6 +277,7 @@ NO_SHAPE, NO_DIGEST = make(name="no_shape", shape=fail), make(name="no_digest", 
 ENTRIES = """
 [fracbench.datasets]
 good = good_package:GOOD
+twice = good_package:GOOD
 sintel = good_package:TAKEN
 other = good_package:OTHER
 misnamed = good_package:MISNAMED
@@ -302,6 +303,10 @@ def packages(tmp_path_factory, work, monkeypatch) -> None:
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: theirs\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text(ENTRIES)
+    info = site / "ours-2.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: ours\nVersion: 2.0\n")
+    (info / "entry_points.txt").write_text("[fracbench.datasets]\ntwice = good_package:OTHER\n")
     monkeypatch.syspath_prepend(site)
     monkeypatch.setattr(registry, "_loaded", {})
     yield
@@ -309,12 +314,13 @@ def packages(tmp_path_factory, work, monkeypatch) -> None:
 
 
 PACKAGES = [
-    ("other", "dataset 'other' of the package theirs (good_package:OTHER): is a dict, not a fracbench."),
-    ("misnamed", "dataset 'misnamed' of the package theirs (good_package:MISNAMED): calls itself 'good'"),
-    ("missing", "(good_package:MISSING): cannot be imported: AttributeError"),
-    ("no_module", "(nowhere_to_be_found:DATASET): cannot be imported: ModuleNotFoundError"),
-    ("raises", "(bad_package:DATASET): cannot be imported: RuntimeError: a bug in two lines"),
-    ("leaves", "(leaving_package:DATASET): cannot be imported: SystemExit: 3"),
+    ("other", "entry point 'other' of theirs 1.0: good_package:OTHER is of type dict, not a fracbench.Dataset"),
+    ("misnamed", "entry point 'misnamed' of theirs 1.0: the dataset is called 'good'; give the entry point"),
+    ("missing", "good_package:MISSING cannot be loaded: AttributeError"),
+    ("no_module", "nowhere_to_be_found:DATASET cannot be loaded: ModuleNotFoundError"),
+    ("raises", "bad_package:DATASET cannot be loaded: RuntimeError: a bug in two lines"),
+    ("leaves", "leaving_package:DATASET cannot be loaded: SystemExit: 3"),
+    ("twice", "entry point 'twice': ours 2.0 and theirs 1.0 offer the same dataset; uninstall one"),
     ("no_pairs", "dataset no_pairs: has no pairs"),
     ("no_names", "dataset no_names: `names` failed: KeyError: 'a bug'"),
     ("no_shape", "dataset no_shape: `shape` failed: KeyError: 'a bug'"),
@@ -333,7 +339,7 @@ def test_the_others_go_on(packages, work, cli, refused, no_middlebury):
     assert done.code == 0, done.err
     refused(work, ["sweep", "alpha=1", "dataset=sintel"], "sintel: give paths.data=FOLDER")  # our own
     listed = cli("data").out
-    assert "dataset 'sintel' of the package theirs (good_package:TAKEN): left out, the name is taken by" in listed
+    assert "cannot be used: entry point 'sintel' of theirs 1.0: fracbench has a dataset of this name" in listed
     assert "\ngood: \n" in listed
-    for name, named in PACKAGES[:6]:
+    for name, named in PACKAGES[:7]:
         assert [line for line in listed.splitlines() if named in line], name

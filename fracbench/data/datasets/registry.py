@@ -10,13 +10,15 @@ import importlib
 import sys
 from collections.abc import Callable
 from functools import lru_cache
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fracbench.data.datasets.base import Dataset
 from fracbench.data.pair import FramePair
 from fracbench.errors import FracbenchError, InputError, match_name
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 GROUP = "fracbench.datasets"
 #: Takes Middlebury where it can be had, else the rendered scenes.
@@ -33,37 +35,28 @@ _OWN = {
 _loaded: dict[str, Dataset] = {}
 
 
-def _entries() -> tuple[dict[str, EntryPoint], list[str]]:
-    """Return the entry points of other packages by name, and a line for each whose name is taken."""
-    return _entries_of(tuple(sys.path))
-
-
 @lru_cache(maxsize=1)
-def _entries_of(_: tuple[str, ...]) -> tuple[dict[str, EntryPoint], list[str]]:
-    found: dict[str, EntryPoint] = {}
-    taken = []
-    for entry in sorted(set(entry_points(group=GROUP)), key=lambda entry: (entry.name, _package(entry))):
-        other = "fracbench" if entry.name in (*_OWN, AUTO) else ""
-        if entry.name in found:
-            other = _package(found[entry.name])
-        if other:
-            taken.append(f"{_title(entry)}: left out, the name is taken by {other}")
-        else:
-            found[entry.name] = entry
-    return found, taken
+def _offered(_: tuple[str, ...]) -> dict[str, tuple[EntryPoint, ...]]:
+    """Return the entry points by the name of their dataset; a name should have one."""
+    from importlib.metadata import entry_points  # which takes a third of the time of `fracbench --help`
+
+    found: dict[str, tuple[EntryPoint, ...]] = {}
+    for entry in set(entry_points(group=GROUP)):
+        found[entry.name] = (*found.get(entry.name, ()), entry)
+    return dict(sorted(found.items()))
+
+
+def _others() -> dict[str, tuple[EntryPoint, ...]]:
+    return _offered(tuple(sys.path))
 
 
 def _package(entry: EntryPoint) -> str:
-    return entry.dist.name if entry.dist else "an unknown package"
-
-
-def _title(entry: EntryPoint) -> str:
-    return f"dataset {entry.name!r} of the package {_package(entry)} ({entry.value})"
+    return f"{entry.dist.name} {entry.dist.version}" if entry.dist else "an unknown package"
 
 
 def dataset_names() -> tuple[str, ...]:
     """Return the names of all datasets, the project's own first; none is imported."""
-    return (*_OWN, *_entries()[0])
+    return (*_OWN, *(name for name in _others() if name not in (*_OWN, AUTO)))
 
 
 def get_dataset(name: str) -> Dataset:
@@ -72,11 +65,11 @@ def get_dataset(name: str) -> Dataset:
     Raises
     ------
     InputError
-        Unknown name, with the nearest; a package that cannot be imported or registers something else.
+        Unknown name, with the nearest; a package that cannot be imported or offers something else.
     """
-    name = match_name(name, dataset_names() if name.casefold() not in _OWN else _OWN, "dataset")
+    name = match_name(name, _OWN if name.casefold() in _OWN else dataset_names(), "dataset")
     if name not in _loaded:
-        _loaded[name] = _of_package(_entries()[0][name]) if name not in _OWN else _own(name)
+        _loaded[name] = _own(name) if name in _OWN else _of_package(name)
     return _loaded[name]
 
 
@@ -86,28 +79,40 @@ def _own(name: str) -> Dataset:
     return dataset
 
 
-def _of_package(entry: EntryPoint) -> Dataset:
+def _of_package(name: str) -> Dataset:
+    entries = _others()[name]
+    if len(entries) > 1:
+        packages = " and ".join(sorted(map(_package, entries)))
+        raise InputError(f"entry point {name!r}: {packages} offer the same dataset; uninstall one")
+    (entry,) = entries
+    place = f"entry point {name!r} of {_package(entry)}"
     try:
-        dataset = entry.load()
+        found = entry.load()
     except (Exception, SystemExit) as exc:
-        raise InputError(f"{_title(entry)}: cannot be imported: {_reason(exc)}") from exc
-    if not isinstance(dataset, Dataset):
-        raise InputError(f"{_title(entry)}: is a {type(dataset).__name__}, not a {Dataset.__module__}.Dataset")
-    if dataset.name != entry.name:
-        raise InputError(f"{_title(entry)}: calls itself {dataset.name!r}; entry point and dataset must agree")
-    return dataset
+        raise InputError(f"{place}: {entry.value} cannot be loaded: {_reason(exc)}") from exc
+    if not isinstance(found, Dataset):
+        raise InputError(f"{place}: {entry.value} is of type {type(found).__name__}, not a fracbench.Dataset")
+    if found.name != name:
+        raise InputError(f"{place}: the dataset is called {found.name!r}; give the entry point the same name")
+    return found
 
 
-def unusable() -> list[str]:
-    """Return a line for each dataset of another package that cannot be used."""
-    found, taken = _entries()
-    lines = list(taken)
-    for name in found:
+def all_datasets() -> tuple[list[Dataset], list[str]]:
+    """Return all datasets, the project's own first, and a line for each entry point that cannot be used."""
+    found = [get_dataset(name) for name in _OWN]
+    unusable = []
+    for name, entries in _others().items():
+        if name in (*_OWN, AUTO):
+            packages = " and ".join(sorted(map(_package, entries)))
+            unusable.append(
+                f"entry point {name!r} of {packages}: fracbench has a dataset of this name, which is used"
+            )
+            continue
         try:
-            get_dataset(name)
+            found.append(get_dataset(name))
         except InputError as exc:
-            lines.append(str(exc))
-    return lines
+            unusable.append(str(exc))
+    return found, unusable
 
 
 def find_folder(dataset: str, given: str | Path | None = None) -> Path | None:
