@@ -11,6 +11,7 @@ import types
 import typing
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -95,7 +96,7 @@ class Method:
             raise unknown_name("parameter", name, self.names, f"method {self.name!r}")
         self.start()
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Its parameters, as configurations and the command line spell them."""
         return tuple(public_name(each.name) for each in dataclasses.fields(self.params))

@@ -80,6 +80,7 @@ def test_a_sweep_on_two_processes(work, site):
     assert (found["status"] == "done").all() and (mine["aepe"] < 1).all()
     for row in rows()["my_flow"]:
         assert row.spec["version"] == "my-package 1" and [*row.spec["params"]] == ["strength"]
+        assert row.provenance["versions"]["my-package"] == "1.0"
     again = run("sweep", *GRID)
     assert "nothing to compute: all 5 points are in the store" in again.stderr
 

@@ -58,6 +58,8 @@ def _compute(point: Point, folder: Path | None, machine: dict[str, Any], guard: 
     if method.stamp != point.version:
         versions = f"this worker has {method.stamp!r}, the sweep {point.version!r}"
         raise InputError(f"{method.origin}: {versions}; install the same version")
+    if method.package:
+        machine = {**machine, "versions": {**machine["versions"], method.package: method.release}}
     params = method.restored(point.params)
     _warm_up(method, params)
     reset_peak()

@@ -71,7 +71,7 @@ def _regions() -> Table:
     columns = [Column("region"), Column("rows", numeric=True), Column("columns", numeric=True)]
     columns += [Column(name, numeric=True) for name in ("λ", "θ", "λ_SB", "scales")]
     rows = []
-    for name in group_options("region"):
+    for name in group_options("region", own=False):
         config = load_config({"region": name})
         region, params = config.region, config.params
         assert isinstance(region, Region)
