@@ -41,8 +41,8 @@ def estimate_flow(
         Frames, gray or colour, of any integer or floating type; never changed. Colour becomes gray by
         ``0.299 R + 0.587 G + 0.114 B`` (rounded down for integers); alpha channels are ignored.
     protocol : str, optional
-        The preset: ``recommended``, ``accurate`` (a third of the error of TV-L1's defaults, slower), or another
-        file of ``conf/protocol``, of the package or of the working folder.
+        The preset: ``recommended``, ``accurate`` (smaller errors, slower), or another file of ``conf/protocol``,
+        of the package or of the working folder.
     method : str, optional
         Name in the registry (``fracbench methods`` lists them) or of the entry point of an installed package. By
         default it is the method of the preset. Methods with parameters of their own take none from a preset that

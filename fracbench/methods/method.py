@@ -126,10 +126,6 @@ class Method:
         values = {public_name(name): value for name, value in fields_of(params).items()}
         return {name: values[name] for name in sorted(self.uses)}
 
-    def offered_by(self, package: str, release: str) -> Method:
-        """Return the method as one of a package."""
-        return dataclasses.replace(self, package=package, release=release)
-
     def replace(self, params: Any, changes: Mapping[str, Any], where: str = "") -> Any:
         """Return a copy of parameters with some values changed.
 
@@ -208,7 +204,7 @@ class Method:
             found = self.estimate(frame0, frame1, params, **({"trace": True} if trace else {}))
         except FracbenchError:
             raise
-        except Exception as exc:
+        except (Exception, SystemExit) as exc:
             if not self.package:
                 raise
             raise FracbenchError(f"{self.origin}: raised {described(exc)}") from exc
@@ -272,7 +268,8 @@ def _check_params(params: Any, what: str) -> None:
                 f"got {hints[each.name]}"
             )
     try:
-        params()
+        for name, value in fields_of(params()).items():
+            coerce(name, hints[name], value)
     except Exception as exc:
         raise InputError(f"{what}: the defaults are refused: {' '.join(str(exc).split())}") from exc
 

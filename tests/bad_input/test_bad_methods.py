@@ -75,6 +75,7 @@ MODULES = [
     (method("uses={'strenth'}"), "unknown parameter 'strenth': did you mean 'strength'?"),
     (method("colour=1"), "TypeError: Method.__init__() got an unexpected keyword argument 'colour'"),
     (method().replace("(frozen=True)", ""), "must be a frozen dataclass: write @dataclass(frozen=True)"),
+    (method(fields="strength: float = 'much'"), "the defaults are refused: `strength` must be a number"),
     (method(fields="strength: float"), "`params`: 'strength' needs a default value"),
     (method(fields="weights: list[float] = ()"), "'weights' must be bool, int, float, str or Literal"),
     (method(fields="size: int | str = 3"), "'size' must be bool, int, float, str or Literal"),
@@ -111,6 +112,7 @@ BODIES = [
     ("return FlowResult(np.zeros(3), '', None)", "returned an array of shape (3,), not (2, 24, 32)"),
     ("return 1 / 0", "raised ZeroDivisionError: division by zero (my_package.py:"),
     ("raise MemoryError", "raised MemoryError (my_package.py:"),
+    ("raise SystemExit(3)", "raised SystemExit: 3 (my_package.py:"),
 ]
 
 
@@ -183,6 +185,22 @@ def test_a_name_of_ours_is_kept_and_said_once(package, cli, images):
     assert (done.code, done.err) == (EXIT_DONE, f"note: {line}\n")
     assert f"cannot be used: {line}\n" in cli("methods").out
     assert get_method("tvl1").package == ""
+
+
+def test_a_package_without_metadata_has_no_name(package, refused, images):
+    package("METHOD = 1")
+    (images.parent / f"{images.name}_site" / "my_package-1.0.dist-info" / "METADATA").unlink()
+    refused(
+        images, ESTIMATE, "entry point 'my_flow' of unknown-package of no version: my_package:METHOD is of type"
+    )
+
+
+def test_entry_points_that_cannot_be_read_leave_our_methods_alone(package, refused, images, cli):
+    package(entries="my_flow")
+    refused_line = "methods of other packages are left out: their entry points cannot be read: "
+    done = cli("sweep", "method=tvl1", "sequence=synthetic_flat", "--dry-run")
+    assert done.code == EXIT_DONE and done.err.startswith(f"note: {refused_line}") and done.err.count("\n") == 1
+    assert done.out.startswith("1 points")
 
 
 def test_the_nearest_name_may_be_that_of_a_package(package, refused, images):
