@@ -14,6 +14,7 @@ from fracbench.data.files import read_flow
 from fracbench.errors import InputError
 from fracbench.methods.method import RESERVED
 from fracbench.methods.registry import get_method
+from fracbench.studies.race import measure
 
 ENTRY = "entry point 'my_flow' of my-package 1.0: "
 ESTIMATE = ["estimate", "a.png", "b.png", "-o", "out.flo", "--method", "my_flow"]
@@ -185,6 +186,15 @@ def test_a_name_of_ours_is_kept_and_said_once(package, cli, images):
     assert (done.code, done.err) == (EXIT_DONE, f"note: {line}\n")
     assert f"cannot be used: {line}\n" in cli("methods").out
     assert get_method("tvl1").package == ""
+
+
+def test_a_race_leaves_out_a_method_that_cannot_be_used_unless_it_is_asked_for(package, caplog):
+    package("METHOD = 1")
+    names = [contender.name for contender in measure.contenders()]
+    assert "tvl1" in names and "my_flow" not in names
+    assert f"{ENTRY}my_package:METHOD is of type int, not a fracbench.Method" in caplog.messages
+    with pytest.raises(InputError, match="my_package:METHOD is of type int"):
+        measure.contenders(["my_flow"])
 
 
 def test_a_package_without_metadata_has_no_name(package, refused, images):
