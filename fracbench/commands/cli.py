@@ -7,6 +7,7 @@ import hashlib
 import os
 import re
 import sys
+import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -203,6 +204,8 @@ def _add_upkeep(add: _Add) -> None:
     data = add("data", _data, "list the datasets, show where their files are, and check those of Middlebury")
     data.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="dataset=NAME and paths.data=FOLDER")
     data.add_argument("--download", action="store_true", help="download Middlebury's missing files first")
+    warmup = add("warmup", _warmup, "compile the solver now, e.g. while an image of a container is built")
+    warmup.add_argument("methods", nargs="*", metavar="METHOD", help="default: all of our own")
     add("methods", _methods, "list the methods and the parameters that each depends on")
 
 
@@ -352,6 +355,29 @@ def _data(arguments: argparse.Namespace) -> int:
 
     whole = data.show(arguments.overrides, download=arguments.download)
     return EXIT_DONE if whole else EXIT_CHECK
+
+
+def _warmup(arguments: argparse.Namespace) -> None:
+    from fracbench.commands.run import compile_for
+    from fracbench.harness.config.compose import group_options, protocol_settings
+    from fracbench.methods.registry import METHODS, get_method
+    from fracbench.model.kernels.jit import cache_folder
+    from fracbench.model.params import FlowParams
+
+    started = time.perf_counter()
+    methods = [get_method(name) for name in arguments.methods or METHODS]
+    presets = [protocol_settings(name)[1] for name in group_options("protocol")]
+    loops = compile_for(
+        (method.name, method.start().replace(preset))
+        for method in methods
+        if method.params is FlowParams
+        for preset in presets
+    )
+    seconds = time.perf_counter() - started
+    folder = cache_folder()
+    if folder is None:
+        raise InputError("numba has no folder for its cache: set NUMBA_CACHE_DIR to one that can be written")
+    console.say(f"{loops} loops compiled in {seconds:.1f} s; the cache is in {folder}")
 
 
 def _methods(_: argparse.Namespace) -> None:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def _looks_numeric(value: Any) -> bool:
 
 
 @contextmanager
-def progress(total: int, label: str) -> Iterator[Any]:
+def progress(total: int | None, label: str) -> Iterator[Any]:
     """Show a progress bar with the time left; yield a function to call once per point, with any arguments."""
     from rich.progress import (
         BarColumn,
@@ -98,3 +98,20 @@ def progress(total: int, label: str) -> Iterator[Any]:
     with Progress(*columns, console=terminal, transient=True, disable=not terminal.is_terminal) as bar:
         task = bar.add_task(label, total=total)
         yield lambda *_: bar.advance(task)
+
+
+@contextmanager
+def compiling() -> Iterator[Callable[[], None]]:
+    """Yield a function to call as each loop is compiled: it shows a bar, or one line outside a terminal."""
+    label = "compiling, once on this machine"
+    advances: list[Callable[[], None]] = []
+    with ExitStack() as stack:
+
+        def advance() -> None:
+            if not advances:
+                advances.append(stack.enter_context(progress(None, label)))
+                if not _console(stderr=True).is_terminal:
+                    note(label)
+            advances[0]()
+
+        yield advance

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -67,8 +68,42 @@ def run_plan(plan: Plan, name: str, jobs: int, *, rerun_failed: bool = False) ->
     ensure_folder(results / STORE.parent)
     with Store(results / STORE) as store:
         _, todo = sweep.missing(plan, store, rerun_failed=rerun_failed)
+        if plan.config.parallel.backend != "dask":
+            compile_for((point.method, point.params) for point in todo.values())
         with console.progress(len(todo), name) as advance:
             return sweep.run(plan, store, jobs=jobs, rerun_failed=rerun_failed, on_row=advance)
+
+
+def compile_for(settings: Iterable[tuple[str, Any]]) -> int:
+    """Compile all that these methods call with these parameters, and say so; return the number of loops.
+
+    Worker processes would compile the same at once. Where a method fails, its points will tell.
+    """
+    import numpy as np
+
+    from fracbench.evaluation.metrics import flow_errors
+    from fracbench.methods.registry import get_method
+    from fracbench.methods.warmup import on_compilation, variant, warm_up
+    from fracbench.model.params import FlowParams
+
+    loops, seen = 0, set()
+    with console.compiling() as advance:
+
+        def count() -> None:
+            nonlocal loops
+            loops += 1
+            advance()
+
+        for name, params in settings:
+            method, chosen = get_method(name), variant(name, params)
+            if chosen not in seen and isinstance(params, FlowParams):
+                seen.add(chosen)
+                with suppress(Exception):
+                    warm_up(method, params, count)
+        if seen:
+            with on_compilation(count):
+                flow_errors(*np.zeros((2, 2, 4, 4), np.float32))
+    return loops
 
 
 def require_workers(jobs: int) -> None:
@@ -142,6 +177,7 @@ def run_point(tokens: Sequence[str]) -> None:
     point = planned.point
     folder = ensure_folder(plan.config.results / RUNS / "flows")
     frame0, frame1, truth, inner = point_arrays(point, plan.folder)
+    compile_for([(point.method, point.params)])
     result = get_method(point.method).compute(frame0, frame1, point.params)
     flow = result.flow[(slice(None), *inner)]
     place = planned.labels["sequence" if point.region is None else "region"]
@@ -177,7 +213,7 @@ def estimate_pair(
         raise InputError(f"estimate takes one value a parameter ({' '.join(overrides)}); use sweep for grids")
     given: dict[str, Any] = next(grid.points())
     protocol = given.pop("protocol", DEFAULT_PROTOCOL)
-    settings_of(protocol, method, given)  # which refuses what is wrong before anything is read
+    chosen, settings = settings_of(protocol, method, given)  # which refuses what is wrong before anything is read
     picture = color or picture_beside(output)
     _require_outputs(output, picture, [path for path in (frame0, frame1, truth) if path is not None])
     first, second = read_image(frame0), read_image(frame1)
@@ -187,6 +223,7 @@ def estimate_pair(
             f"{truth}: the true flow is {expected.shape[2]} x {expected.shape[1]}, the frames are "
             f"{first.shape[1]} x {first.shape[0]} (width x height)"
         )
+    compile_for([(chosen.name, settings)])
     result = estimate_flow(first, second, protocol=protocol, method=method, threads=threads, **given)
     changes = " ".join(token for token in overrides if token != f"protocol={protocol}")
     _say_result(result, f"preset {protocol} with {changes}" if changes else f"preset {protocol}")

@@ -29,7 +29,7 @@ from fracbench.harness.run.pool import LocalPool
 from fracbench.harness.run.store import STORE, Store
 from fracbench.methods.registry import METHODS
 
-COMMANDS = ("sweep", "table", "figure", "experiment", "run", "estimate", "check", "data", "methods")
+COMMANDS = ("sweep", "table", "figure", "experiment", "run", "estimate", "check", "data", "warmup", "methods")
 NAMES_ONLY = "boundary=zero,reflect"  # no figures
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pkgutil
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext, suppress
+from contextlib import AbstractContextManager, nullcontext
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -23,10 +23,10 @@ from fracbench.harness.run import provenance
 from fracbench.harness.run.message import Outcome
 from fracbench.harness.run.point import MEASURES, Point
 from fracbench.harness.run.provenance import peak_mib, reset_peak
-from fracbench.methods.method import Method, described, fields_of
+from fracbench.methods.method import Method, described
 from fracbench.methods.paper import energy_growth
 from fracbench.methods.registry import get_method
-from fracbench.model.params import FlowParams
+from fracbench.methods.warmup import variant, warm_up
 from fracbench.model.structure import structure_classes
 
 #: A flow has diverged if its regularity is this many times the energy of no flow at all. For a minimiser the ratio
@@ -172,15 +172,8 @@ def _warm_up(method: Method, params: Any) -> None:
 
     From then on the process computes on one thread: tables must not depend on the number of jobs.
     """
-    # The words among the parameters, and the numbers that are 0 (off), tell which functions are called.
-    own = isinstance(params, FlowParams)
-    switches = [value if isinstance(value, str) else bool(value) for value in fields_of(params).values()]
-    variant = (method.name, *switches)
-    if variant not in _warmed:
-        tiny = np.random.default_rng(0).uniform(0.0, 255.0, (2, 32, 32))
-        small = params.replace({"n_scales": 2, "n_warps": 1, "max_iter": 2, "max_inner": 2}) if own else params
-        # frames so small may be refused by a method that can do with larger ones
-        with nullcontext() if own else suppress(Exception):
-            method.compute(tiny[0], tiny[1], small)
+    chosen = variant(method.name, params)
+    if chosen not in _warmed:
+        warm_up(method, params, alone=True)
         threadpool_limits(1)  # of all libraries that are loaded by now
-        _warmed.add(variant)
+        _warmed.add(chosen)

@@ -86,7 +86,10 @@ def _eliminate(
             for i in range(LINES):
                 gain[m, i] = kr[m, i] * inverse[i]
                 drift[i] += reach * abs(gain[m, i] - kept[m, i])
-        if step == 0 or drift.max() > tolerance:
+        moved = step == 0
+        for i in range(LINES):  # NumPy's maximum takes half a second to compile
+            moved = moved or drift[i] > tolerance
+        if moved:
             for i in range(LINES):
                 rows[number, 0, i] = inverse[i]
             for m in range(states):
@@ -94,9 +97,8 @@ def _eliminate(
                     rows[number, m + 1, i] = kept[m, i] = gain[m, i]
             number, since = number + 1, step
         which[step] = number - 1
-        if (
-            step > 2 * since
-        ):  # the gains converge at least as 1 / step: the remaining change is at most as much again
+        # the gains converge at least as 1 / step: the remaining change is at most as much again
+        if step > 2 * since:
             which[step:] = number - 1
             break
         _step_back(ratios, gain, r, change, kr, y)

@@ -21,6 +21,7 @@ from fracbench.harness.run.point import Point
 from fracbench.methods.method import Method
 from fracbench.methods.paper import energy_growth
 from fracbench.methods.registry import get_method
+from fracbench.methods.warmup import SIDE
 from fracbench.model.coarse_to_fine import FlowResult
 from fracbench.model.params import FlowParams
 from fracbench.model.structure import CLASSES, structure_classes
@@ -123,15 +124,15 @@ def test_the_clock_runs_during_the_estimate_alone(monkeypatch):
 
     def estimate(frame0, frame1, params):
         sizes.append(frame0.size)
-        clock[0] += 2.0 if frame0.size > 32 * 32 else 100.0
+        clock[0] += 2.0 if frame0.size > SIDE**2 else 100.0
         return still(frame0, frame1, params)
 
     use_method(monkeypatch, estimate)
     monkeypatch.setattr(compute_point, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
     assert [run_point(a_point(**{"lambda": value}), None).seconds for value in (0.1, 0.2)] == [2.0, 2.0]
-    assert sizes == [32 * 32, 128 * 160, 128 * 160]
+    assert sizes == [SIDE**2, 128 * 160, 128 * 160]
     run_point(a_point("tvl1_sb", boundary="zero"), None)
-    assert sizes[3:] == [32 * 32, 128 * 160]
+    assert sizes[3:] == [SIDE**2, 128 * 160]
 
 
 # -- what goes wrong -----------------------------------------------------------------------------

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 
+import numba
 import pytest
 from numba import config
 
@@ -62,16 +63,30 @@ def test_nothing_is_cached_where_numba_has_no_stamp(monkeypatch):
         return 2.0 * x
 
     assert jit_module.jit(twice).stats.cache_path is not None
+    monkeypatch.setattr(jit_module, "_uncached", False)  # restored afterwards
     monkeypatch.setattr(jit_module, "add_to_stamp", lambda compiled, digest: False)
     plain = jit_module.jit(twice)
     assert plain.stats.cache_path is None
     assert plain(1.5) == 3.0
+    assert jit_module.cache_folder() is None
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
+def test_numba_has_what_jit_needs_of_it():
+    def twice(x: float) -> float:
+        return 2.0 * x
+
+    compiled = numba.njit(cache=True)(twice)
+    assert add_to_stamp(compiled, "digest"), "numba renamed its stamp: caching is off until cache_stamp.py follows"
+    assert compiled._cache._cache_file._source_stamp[1] == "digest"
+    assert jit_module.cache_folder() is not None
 
 
 @pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
 def test_loops_run_where_no_cache_can_be_written(tmp_path):
     (tmp_path / "__pycache__").write_text("a file", encoding="utf-8")  # beside the module...
     loop = "from fracbench.model.kernels.jit import jit\n@jit\ndef twice(x):\n    return 2.0 * x\n"
+    loop += "again = jit(twice.py_func)\n"
     (tmp_path / "loop.py").write_text(loop, encoding="utf-8")
     below = str(tmp_path / "loop.py" / "cache")  # ...and below a file no folder can be made, not even by root
     homes = ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME", "HOME", "LOCALAPPDATA")
@@ -87,3 +102,5 @@ def test_loops_run_where_no_cache_can_be_written(tmp_path):
         check=True,
     )
     assert done.stdout.split() == ["3.0", "None"]
+    (warning,) = done.stderr.splitlines()
+    assert "compiled anew in every process" in warning and "NUMBA_CACHE_DIR" in warning
