@@ -11,6 +11,8 @@ if TYPE_CHECKING:
     import pandas as pd
     from rich.console import Console
 
+COMPILING = "compiling, once on this machine"
+
 
 def _console(*, stderr: bool) -> Console:
     from rich.console import Console
@@ -103,15 +105,14 @@ def progress(total: int | None, label: str) -> Iterator[Any]:
 @contextmanager
 def compiling() -> Iterator[Callable[[], None]]:
     """Yield a function to call as each loop is compiled: it shows a bar, or one line outside a terminal."""
-    label = "compiling, once on this machine"
     advances: list[Callable[[], None]] = []
     with ExitStack() as stack:
 
         def advance() -> None:
             if not advances:
-                advances.append(stack.enter_context(progress(None, label)))
+                advances.append(stack.enter_context(progress(None, COMPILING)))
                 if not _console(stderr=True).is_terminal:
-                    note(label)
+                    note(COMPILING)
             advances[0]()
 
         yield advance

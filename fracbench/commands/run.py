@@ -207,6 +207,8 @@ def estimate_pair(
     """
     from fracbench.api import DEFAULT_PROTOCOL, estimate_flow, settings_of
     from fracbench.data.files import read_flow, read_image
+    from fracbench.data.gray import to_gray
+    from fracbench.model.coarse_to_fine import check_frames
 
     grid = parse_overrides(overrides)
     if grid.size > 1:
@@ -223,6 +225,7 @@ def estimate_pair(
             f"{truth}: the true flow is {expected.shape[2]} x {expected.shape[1]}, the frames are "
             f"{first.shape[1]} x {first.shape[0]} (width x height)"
         )
+    check_frames(to_gray(first, name="frame0"), to_gray(second, name="frame1"))
     compile_for([(chosen.name, settings)])
     result = estimate_flow(first, second, protocol=protocol, method=method, threads=threads, **given)
     changes = " ".join(token for token in overrides if token != f"protocol={protocol}")

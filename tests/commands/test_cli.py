@@ -14,10 +14,12 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from numba import config
 
 import fracbench
 from fracbench import api, estimate_flow
 from fracbench.commands.cli import EXIT_CHECK, EXIT_DONE, EXIT_FAILED, EXIT_INPUT
+from fracbench.commands.console import COMPILING
 from fracbench.data.datasets import middlebury as middlebury_data
 from fracbench.data.files import read_flow, read_image
 from fracbench.errors import RESUME
@@ -321,6 +323,24 @@ def test_two_images_become_a_flow_and_a_picture(cli, images):
     expected = estimate_flow(read_image("a.png"), read_image("b.png"), alpha=0.8, max_iter=20)
     np.testing.assert_array_equal(read_flow("flow.flo"), expected.flow)
     assert read_image("flow.color.png").shape == (24, 32, 3)
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
+def test_compilation_is_told_once_and_not_timed(images):
+    """Afterwards `warmup` has nothing to do for this method, and says where the cache is."""
+    cache = images / "cache"
+
+    def run(*words):
+        done = python("-m", "fracbench", *words, cwd=images, NUMBA_CACHE_DIR=str(cache))
+        assert done.returncode == 0
+        return done
+
+    words = ("estimate", "a.png", "b.png", "-o", "flow.flo", "--method", "tvl1")
+    first, second = run(*words), run(*words)
+    assert (first.stderr, second.stderr) == (f"{COMPILING}\n", "")
+    assert float(re.search(r"([\d.]+) s$", first.stdout.splitlines()[0])[1]) < 1.0  # 3 s were compilation
+    said = run("warmup", "tvl1").stdout
+    assert re.fullmatch(rf"\d+ loops compiled in [\d.]+ s; the cache is in {re.escape(str(cache))}\S*\n", said)
 
 
 def test_the_errors_are_printed_if_the_truth_is_known(cli, images):
