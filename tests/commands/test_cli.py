@@ -9,6 +9,7 @@ import sys
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -538,3 +539,15 @@ def test_the_module_runs_and_leaves_with_the_exit_code(work, tiny):
     done = python("-m", "fracbench", "sweep", "alhpa=1", cwd=work)
     assert (done.returncode, done.stdout) == (EXIT_INPUT, "")
     assert done.stderr.startswith("fracbench: unknown key 'alhpa': did you mean 'alpha'?")
+
+
+def test_a_sweep_compiles_before_its_workers_start(work, monkeypatch):
+    """In this process, for all points that are missing."""
+    from fracbench.commands import run
+
+    order: list[Any] = []
+    monkeypatch.setattr(run, "compile_for", lambda settings: order.append([name for name, _ in settings]))
+    monkeypatch.setattr(run.sweep, "run", lambda *_, **__: order.append("workers") or sweep.Report())
+    plan = run.make_plan(["method=tvl1,tvl1_sb", "sequence=synthetic_flat"])
+    run.run_plan(plan, "test", 2)
+    assert order == [["tvl1", "tvl1_sb"], "workers"]
