@@ -221,16 +221,9 @@ def _radix5(work: Array, start: int, stop: int, rest: int, twiddles: Array, firs
 
 @jit
 def _odd_radix(
-    work: Array,
-    start: int,
-    stop: int,
-    radix: int,
-    rest: int,
-    twiddles: Array,
-    first: int,
-    roots: Array,
+    work: Array, start: int, stop: int, radix: int, rest: int, twiddles: Array, first: int, roots: Array,
     first_root: int,
-) -> None:
+) -> None:  # fmt: skip
     # The terms j and radix - j have the same cosine and opposite sines, which halves the products.
     half = radix // 2
     pairs = np.empty((4 * half + 4, LANES), work.dtype)
@@ -265,18 +258,9 @@ def _odd_radix(
 
 @jit
 def _store_mirrored(
-    work: Array,
-    row: int,
-    rest: int,
-    i: int,
-    radix: int,
-    xr: Lanes,
-    xi: Lanes,
-    yr: Lanes,
-    yi: Lanes,
-    twiddles: Array,
-    k: int,
-) -> None:
+    work: Array, row: int, rest: int, i: int, radix: int, xr: Lanes, xi: Lanes, yr: Lanes, yi: Lanes,
+    twiddles: Array, k: int,
+) -> None:  # fmt: skip
     """Write the results i and radix - i: cosine sum plus and minus i times the sine sum."""
     _store_twiddled(work, row + i * rest, xr - yi, xi + yr, twiddles, k + i - 1)
     _store_twiddled(work, row + (radix - i) * rest, xr + yi, xi - yr, twiddles, k + radix - i - 1)

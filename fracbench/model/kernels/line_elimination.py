@@ -54,14 +54,9 @@ def line_gains(weights: ExponentialSum, direct: Float64Array, mu: float, n: int)
 
 @jit
 def _eliminate(
-    known: Float64Array,
-    ratios: Float64Array,
-    lanes: Float64Array,
-    mu: float,
-    tolerance: float,
-    rows: Array,
+    known: Float64Array, ratios: Float64Array, lanes: Float64Array, mu: float, tolerance: float, rows: Array,
     which: NDArray[np.intp],
-) -> int:
+) -> int:  # fmt: skip
     """Write the gains of some lines, a new row when they change by more than rounding; return the number of rows.
 
     The cost matrix changes by ``change y y^T``, of rank one, in each step, so that a step takes a few operations a
@@ -107,13 +102,9 @@ def _eliminate(
 
 @jit
 def _step_back(
-    ratios: Float64Array,
-    gain: Float64Array,
-    r: Float64Array,
-    change: Float64Array,
-    kr: Float64Array,
+    ratios: Float64Array, gain: Float64Array, r: Float64Array, change: Float64Array, kr: Float64Array,
     y: Float64Array,
-) -> None:
+) -> None:  # fmt: skip
     """Go back by one sample; forwards the states go ``x_m <- rho_m x_m + x_0``, ``x_0 <- u``."""
     passed, fed, rise = np.zeros(LINES), np.empty(LINES), np.empty(LINES)
     for m in range(1, len(y)):

@@ -47,18 +47,9 @@ def threshold(u: Array, rho_c: Array, gradient: Array, lambda_theta: float, v: A
 
 @jit
 def coupled_threshold(
-    u: Array,
-    rho_c: Array,
-    gradient: Array,
-    lambda_: float,
-    theta: float,
-    step: float,
-    relaxation: float,
-    c: Array,
-    target: Array,
-    start: int,
-    stop: int,
-) -> None:
+    u: Array, rho_c: Array, gradient: Array, lambda_: float, theta: float, step: float, relaxation: float,
+    c: Array, target: Array, start: int, stop: int,
+) -> None:  # fmt: skip
     """Take the v-step with a multiplier `c` on the constraint that the data term and R see one flow (ADMM).
 
     The data term ``F(w) = min_v |w - v|^2 / (2 theta) + lambda |rho(v)|`` is given a flow ``w`` of its own.

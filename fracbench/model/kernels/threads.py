@@ -88,11 +88,10 @@ def parallel_map(work: Callable[[T], R], items: Sequence[T]) -> list[R]:
     """Return ``[work(item) for item in items]``, computed in parallel; see `parallel_for`."""
     if count() == 1:
         return [work(item) for item in items]
-    found: dict[int, R] = {}
+    found: dict[int, list[R]] = {}
 
     def take(start: int, stop: int) -> None:
-        for i in range(start, stop):
-            found[i] = work(items[i])
+        found[start] = [work(item) for item in items[start:stop]]
 
     parallel_for(take, len(items), least=1)
-    return [found[i] for i in range(len(items))]
+    return [result for start in sorted(found) for result in found[start]]

@@ -54,8 +54,9 @@ def _load(context: Any, builder: Any, array_type: Any, *at: Any) -> Any:
     return builder.load(_address(context, builder, array_type, *at), align=array_type.dtype.bitwidth // 8)
 
 
-def _store(context: Any, builder: Any, array_type: Any, value: Any, *at: Any) -> None:
+def _store(context: Any, builder: Any, array_type: Any, value: Any, *at: Any) -> Any:
     builder.store(value, _address(context, builder, array_type, *at), align=array_type.dtype.bitwidth // 8)
+    return context.get_dummy_value()
 
 
 @intrinsic
@@ -64,10 +65,8 @@ def load(typingctx: Any, array: Any, row: Any, column: Any) -> Any:
     if not _is_plane(array):
         return None
 
-    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return _load(context, builder, sig.args[0], *args)
-
-    return LanesType(array.dtype)(array, types.intp, types.intp), codegen
+    signature = LanesType(array.dtype)(array, types.intp, types.intp)
+    return signature, lambda context, builder, sig, args: _load(context, builder, sig.args[0], *args)
 
 
 @intrinsic
@@ -76,11 +75,8 @@ def store(typingctx: Any, array: Any, row: Any, column: Any, value: Any) -> Any:
     if not (_is_plane(array) and isinstance(value, LanesType) and value.dtype == array.dtype):
         return None
 
-    def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        _store(context, builder, sig.args[0], args[3], *args[:3])
-        return context.get_dummy_value()
-
-    return types.void(array, types.intp, types.intp, value), codegen
+    signature = types.void(array, types.intp, types.intp, value)
+    return signature, lambda context, builder, sig, args: _store(context, builder, sig.args[0], args[3], *args[:3])
 
 
 @intrinsic
