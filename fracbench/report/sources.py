@@ -91,12 +91,12 @@ class Sources:
         self.dataset = self._data.dataset
         self.suffix = self._data.mark
         self._plans = plans or {}
-        self._only = only
+        self.only = only
         self._found: dict[str, Source] = {}
 
     def get(self, name: str) -> Source:
         """Return an experiment with its rows."""
-        if self._only is not None and name not in self._only:
+        if self.only is not None and name not in self.only:
             return self.outline(name)
         if name not in self._found:
             experiment = load_experiment(name)

@@ -94,7 +94,7 @@ class Tables:
             raise UnjudgeableError(f"{experiment} has no points with {wanted}")
         if (table["dataset"] != "middlebury").any():
             raise UnjudgeableError(
-                f"{experiment} was computed on synthetic scenes, the sentence is about Middlebury's"
+                f"{experiment} was computed on other data, the sentence is about Middlebury's sequences"
             )
         finite = np.isfinite(table[list(needs)].to_numpy(np.float64, na_value=np.nan)).all(axis=1)
         bad = int((~(finite & (table["status"] == "done").to_numpy())).sum())

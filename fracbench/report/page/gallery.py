@@ -84,6 +84,8 @@ def _shown(plan: Plan, sources: Sources) -> list[tuple[str, list[tuple[str, Poin
     reference = [planned for planned in plan.points if planned.labels["protocol"] == "reference"]
     names = list(dict.fromkeys(planned.labels["sequence"] for planned in reference))
     names = names[:2] if sources.small else names
+    if not names:
+        return []
     ours = make_plan(
         ["protocol=recommended", "method=tvl1_sb_alpha", f"sequence={','.join(names)}", *sources.settings],
         allow_download=False,

@@ -38,7 +38,7 @@ def write_report(sources: Sources) -> Path:
 
 def page(sources: Sources) -> str:
     """Return the report as HTML; equal stores and figures give equal text."""
-    names = experiments()
+    names = [name for name in experiments() if sources.only is None or name in sources.only]
     found = [sources.get(name) for name in names]
     rows = background.all_rows(found)
     missing = sum(source.n_missing for source in found)
@@ -49,7 +49,10 @@ def page(sources: Sources) -> str:
     ]
     if sources.small:
         facts.append(("Form", "small: thinned grids, for a trial; the verdicts mean nothing"))
-    return render_page(_TITLE, _LEAD, facts, sections(sources, names))
+    if sources.only is None:
+        return render_page(_TITLE, _LEAD, facts, sections(sources, names))
+    lead = f"This page shows some of the paper's experiments ({', '.join(names)}) and judges none of its claims."
+    return render_page("Fractional optical flow: chosen experiments", lead, facts, chosen_sections(sources, names))
 
 
 def experiments() -> list[str]:
@@ -74,3 +77,16 @@ def sections(sources: Sources, names: Sequence[str]) -> list[Section]:
         background.conventions(),
         background.provenance([sources.get(name) for name in names]),
     ]
+
+
+def chosen_sections(sources: Sources, names: Sequence[str]) -> list[Section]:
+    """Return the parts of the page about some experiments alone."""
+    own = {
+        "protocol_study": [pages.protocol_study],
+        "table2": [pages.table2, exhibits.pictures],
+        "solver_study": [pages.solver_study],
+    }
+    told = [part(sources) for name, parts in own.items() if name in names for part in parts]
+    figures = [exhibits.figures(sources, names)] if set(names) - set(own) else []
+    last = [background.conventions(), background.provenance([sources.get(name) for name in names])]
+    return [*told, *figures, *last]

@@ -100,7 +100,9 @@ def flow_of_zeros(monkeypatch):
     def estimate(frame0, frame1, params):
         return FlowResult(np.zeros((2, *frame0.shape), np.float32), "none", params)
 
-    monkeypatch.setattr(compute_point, "get_method", lambda name: SimpleNamespace(estimate=estimate))
+    zero = SimpleNamespace(name="zero", stamp="", compute=estimate, restored=lambda params: params)
+    zero.require = lambda: zero
+    monkeypatch.setattr(compute_point, "get_method", lambda name: zero)
     monkeypatch.setattr(compute_point, "energy_growth", lambda *_, **__: None)
 
 

@@ -570,3 +570,10 @@ def test_tables_sort_and_filter(tmp_path):
     _, rising, falling = found["sorted"]
     assert rising == ["ascending", "-1.5", "2e-3", "9", "shown", "10", "A", "b", "Grove2", "Grove10", ""]
     assert falling == ["descending", "Grove10", "Grove2", "b", "A", "10", "shown", "9", "2e-3", "-1.5", ""]
+
+
+def test_a_page_about_chosen_experiments_judges_no_claim(results):
+    text = html.page(Sources(results, SETTINGS, small=True, only=["table2"]))
+    chosen = Page(text)
+    assert "chosen experiments" in chosen.text and "Table 2 beside the paper" in chosen.text
+    assert "cannot be judged" not in chosen.text and "missing" not in chosen.text
