@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import struct
+import subprocess
 import sys
 import zlib
 from pathlib import Path
@@ -11,6 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import fracbench
 from fracbench.commands.cli import main
 from fracbench.data.datasets import registry
 from fracbench.data.files import write_flo, write_flow, write_image
@@ -293,8 +296,8 @@ no_digest = good_package:NO_DIGEST
 
 
 @pytest.fixture
-def packages(tmp_path_factory, work, monkeypatch) -> None:
-    """An installed package with a dataset that works and others that do not."""
+def packages(tmp_path_factory, work, monkeypatch) -> Path:
+    """The folder of an installed package with a dataset that works and others that do not."""
     site = tmp_path_factory.mktemp("site")
     (site / "good_package.py").write_text(GOOD)
     (site / "bad_package.py").write_text("raise RuntimeError('a bug\\nin two lines')")
@@ -309,7 +312,7 @@ def packages(tmp_path_factory, work, monkeypatch) -> None:
     (info / "entry_points.txt").write_text("[fracbench.datasets]\ntwice = good_package:OTHER\n")
     monkeypatch.syspath_prepend(site)
     monkeypatch.setattr(registry, "_loaded", {})
-    yield
+    yield site
     sys.modules.pop("good_package", None)
 
 
@@ -335,8 +338,10 @@ def test_packages_that_cannot_be_used(packages, work, refused, dataset, named):
 
 
 def test_the_others_go_on(packages, work, cli, refused, no_middlebury):
-    done = cli("sweep", "alpha=1", "n_scales=1", "dataset=good", "--jobs", "1")
-    assert done.code == 0, done.err
+    words = [sys.executable, "-m", "fracbench", "sweep", "alpha=1", "n_scales=1", "dataset=good", "--jobs", "1"]
+    path = os.pathsep.join([str(packages), str(Path(fracbench.__file__).parents[1])])
+    done = subprocess.run(words, env={**os.environ, "PYTHONPATH": path}, cwd=work, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
     refused(work, ["sweep", "alpha=1", "dataset=sintel"], "sintel: give paths.data=FOLDER")  # our own
     listed = cli("data").out
     assert "cannot be used: entry point 'sintel' of theirs 1.0: fracbench has a dataset of this name" in listed
