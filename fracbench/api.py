@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
 from fracbench.data.gray import to_gray
-from fracbench.methods.registry import DEFAULT_METHOD, get_method
+from fracbench.errors import InputError
+from fracbench.methods.registry import DEFAULT_METHOD, Method, get_method
 from fracbench.model.coarse_to_fine import FlowResult, check_frames
 from fracbench.model.kernels.threads import use_threads
 from fracbench.model.params import FlowParams
@@ -19,6 +21,7 @@ def estimate_flow(
     frame1: npt.ArrayLike,
     *,
     method: str = DEFAULT_METHOD,
+    initial_flow: npt.ArrayLike | None = None,
     trace: bool = False,
     threads: int = 1,
     **params: Any,
@@ -35,6 +38,9 @@ def estimate_flow(
         ``0.299 R + 0.587 G + 0.114 B`` (rounded down for integers); alpha channels are ignored.
     method : str, optional
         Name in the registry; ``fracbench methods`` lists them.
+    initial_flow : array_like, shape (2, H, W), optional
+        A flow to start from, pixels, for example that of the frames before. It is downsampled to the coarsest
+        scale, where the computation begins: the fewer scales (`n_scales`), the more of it counts.
     trace : bool, optional
         Record the energy E(u, v) after each iteration (slow).
     threads : int, optional
@@ -67,5 +73,27 @@ def estimate_flow(
     settings = FlowParams().replace(chosen.defaults).replace(params)
     gray0, gray1 = to_gray(frame0, name="frame0"), to_gray(frame1, name="frame1")
     check_frames(gray0, gray1)
+    options = _options(chosen, initial_flow)
     with use_threads(threads), threadpool_limits(1):
-        return chosen.estimate(gray0, gray1, settings, trace=trace)
+        return chosen.estimate(gray0, gray1, settings, trace=trace, **options)
+
+
+def _options(method: Method, initial_flow: npt.ArrayLike | None) -> dict[str, Any]:
+    """Return the options that were given as arrays; refuse those that the method does not take."""
+    options: dict[str, Any] = {}
+    if initial_flow is not None:
+        options["initial_flow"] = _numbers(initial_flow, "initial_flow")
+    for name in options:
+        if name not in method.options:
+            raise InputError(f"method {method.name!r} takes no `{name}`")
+    return options
+
+
+def _numbers(values: npt.ArrayLike, name: str) -> npt.NDArray[Any]:
+    try:
+        array = np.asarray(values)
+    except ValueError:  # nested lists of unequal lengths
+        array = np.empty(0, object)
+    if array.dtype.kind not in "fiu":
+        raise InputError(f"`{name}` must be an array of real numbers")
+    return array

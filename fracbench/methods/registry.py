@@ -25,6 +25,7 @@ _PYRAMID = frozenset(FlowParams.names()) - _BEYOND - {
 }  # fmt: skip
 # For cheap iterations of little progress; the default of six is for the exact u-step.
 _SMALL_STEPS = {"epsilon": 0.02, "max_iter": 300, "n_warps": 5}
+_OPTIONS = frozenset({"initial_flow"})
 _BREGMAN = frozenset(FlowParams.names()) - _BEYOND - {"alpha", "boundary", "pad", "tau"}
 
 
@@ -42,13 +43,15 @@ class Method:
         One line.
     home : str
         ``"module:function"``; the function is called as ``function(frame0, frame1, params, trace=False)`` on
-        gray (H, W) arrays and returns a `FlowResult`.
+        gray (H, W) arrays and the `options` asked for, and returns a `FlowResult`.
     uses : frozenset of str
         The parameters it depends on, by public name: no other enters the key of its results.
     defaults : mapping
         Parameters it starts from where they differ from `FlowParams`' own.
     requires : tuple of str
         Modules of other programs, which an extra installs.
+    options : frozenset of str
+        The keyword arguments of `RunOptions`, besides `trace`, that the function takes.
     """
 
     name: str
@@ -58,6 +61,7 @@ class Method:
     uses: frozenset[str]
     defaults: Mapping[str, Any] = field(default_factory=dict)
     requires: tuple[str, ...] = ()
+    options: frozenset[str] = frozenset()
 
     @property
     def estimate(self) -> Callable[..., Any]:
@@ -105,6 +109,7 @@ register(
         "fracbench.methods.paper:tvl1",
         _PYRAMID | {"tau"},
         _SMALL_STEPS,
+        options=_OPTIONS,
     )
 )
 register(
@@ -115,6 +120,7 @@ register(
         "fracbench.methods.paper:tvl1_sb",
         _BREGMAN,
         {"u_solver": "gauss_seidel", "inner": "cold", "coupling": "penalty", **_SMALL_STEPS},
+        options=_OPTIONS,
     )
 )
 register(
@@ -124,6 +130,7 @@ register(
         "split Bregman with the fractional gradient (Algorithms 1, 2, 4)",
         "fracbench.methods.paper:tvl1_sb_alpha",
         _BREGMAN | {"alpha", "boundary", "pad"},
+        options=_OPTIONS,
     )
 )
 
@@ -137,6 +144,7 @@ register(
         _BREGMAN | _BEYOND,
         # orders without weight at a pixel slow the convergence of its flow, so that more iterations are needed
         {"n_warps": 5, "max_iter": 10},
+        options=_OPTIONS,
     )
 )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TypedDict
 
 import numpy as np
 
@@ -18,10 +19,20 @@ from fracbench.model.regularizers import Regularizer
 from fracbench.model.single_level import LevelReport, Stopwatch, solve_single_level
 from fracbench.model.v_steps import PenaltyStep, VStep
 
+#: Components of this size and above mark a pixel of unknown flow in files.
+UNKNOWN = 1e9
+
 RegularizerFactory = Callable[[FlowParams, Array], Regularizer]
 VStepFactory = Callable[[Array, FlowParams], VStep]
 ResidualFactory = Callable[[Array, Array, FlowParams], Residual]
 FlowFilterFactory = Callable[[Array, Array, FlowParams], Callable[[Array], Array] | None]
+
+
+class RunOptions(TypedDict, total=False):
+    """The keyword arguments that a method hands on to `coarse_to_fine`, for each pair of frames anew."""
+
+    trace: bool
+    initial_flow: Array | None
 
 
 @dataclass
@@ -80,6 +91,7 @@ def coarse_to_fine(
     make_flow_filter: FlowFilterFactory | None = None,
     method: str = "",
     trace: bool = False,
+    initial_flow: Array | None = None,
 ) -> FlowResult:
     """Run Algorithm 1: stretch, smooth, build the pyramids, solve from the coarsest scale to the finest.
 
@@ -96,13 +108,17 @@ def coarse_to_fine(
         Name for the result.
     trace : bool, optional
         Record the energy after each iteration (slow).
+    initial_flow : ndarray, shape (2, H, W), optional
+        Flow, pixels, to start from at the coarsest scale, in place of 0; see `pyramid.downsample_flow`.
 
     Raises
     ------
     InputError
-        Frames of different or too small size.
+        Frames of different or too small size; an initial flow of another shape, or with values that are no flow.
     """
     check_frames(frame0, frame1)
+    if initial_flow is not None:
+        check_initial_flow(initial_flow, frame0.shape)
     watch = Stopwatch()
     dtype = np.dtype(params.dtype)
     shapes = pyramid.scale_shapes(frame0.shape, params.eta, params.n_scales)
@@ -112,6 +128,8 @@ def coarse_to_fine(
     )
     watch.lap("pyramid")
     flow = aligned((2, *shapes[-1]), dtype)
+    if initial_flow is not None:
+        flow[...] = pyramid.downsample_flow(initial_flow.astype(dtype), shapes, params.eta)
     levels: list[LevelReport] = []
     for s in reversed(range(len(shapes))):
         with worth_threads(math.prod(shapes[s])):
@@ -141,6 +159,19 @@ def check_frames(frame0: Array, frame1: Array) -> None:
     if frame0.ndim != 2 or min(frame0.shape) < pyramid.MIN_SIDE:
         least = _size((pyramid.MIN_SIDE, pyramid.MIN_SIDE))
         raise InputError(f"frames of {_size(frame0.shape)} pixels are too small: at least {least} are needed")
+
+
+def check_initial_flow(flow: Array, shape: tuple[int, ...]) -> None:
+    """Refuse a flow that is not of the frames' `shape`, or has values that are NaN, infinite or marked unknown."""
+    if flow.shape != (2, *shape):
+        raise InputError(f"`initial_flow`: shape {flow.shape} given, {(2, *shape)} needed")
+    bad = ~(np.abs(flow) < UNKNOWN).all(axis=0)
+    if bad.any():
+        row, column = np.argwhere(bad)[0]
+        raise InputError(
+            f"`initial_flow`: {int(bad.sum())} of {bad.size} pixels are NaN, infinite or unknown, "
+            f"the first at row {row}, column {column}"
+        )
 
 
 def _size(shape: tuple[int, ...]) -> str:
