@@ -10,8 +10,9 @@ from threadpoolctl import threadpool_limits
 
 from fracbench.data.gray import to_gray
 from fracbench.errors import InputError
-from fracbench.methods.registry import DEFAULT_METHOD, Method, get_method
+from fracbench.methods.registry import DEFAULT_METHOD, get_method
 from fracbench.model.coarse_to_fine import FlowResult, check_frames
+from fracbench.model.data_terms.masked import check_mask
 from fracbench.model.kernels.threads import use_threads
 from fracbench.model.params import FlowParams
 
@@ -21,6 +22,7 @@ def estimate_flow(
     frame1: npt.ArrayLike,
     *,
     method: str = DEFAULT_METHOD,
+    mask: npt.ArrayLike | None = None,
     initial_flow: npt.ArrayLike | None = None,
     trace: bool = False,
     threads: int = 1,
@@ -35,9 +37,13 @@ def estimate_flow(
     ----------
     frame0, frame1 : array_like, shape (H, W) or (H, W, 1 | 3 | 4)
         Frames, gray or colour, of any integer or floating type; never changed. Colour becomes gray by
-        ``0.299 R + 0.587 G + 0.114 B`` (rounded down for integers); alpha channels are ignored.
+        ``0.299 R + 0.587 G + 0.114 B`` (rounded down for integers); alpha channels are ignored. Pixels that
+        are NaN do not count, as if they were in the mask; a notice says how many there are.
     method : str, optional
         Name in the registry; ``fracbench methods`` lists them.
+    mask : array_like of bool, shape (H, W) or (2, H, W), optional
+        True at the pixels of both frames, or of `frame0` and `frame1`, whose values do not count. Their flow, and
+        that of pixels that move to a masked one, is filled in by the regulariser.
     initial_flow : array_like, shape (2, H, W), optional
         A flow to start from, pixels, for example that of the frames before. It is downsampled to the coarsest
         scale, where the computation begins: the fewer scales (`n_scales`), the more of it counts.
@@ -57,8 +63,8 @@ def estimate_flow(
     Raises
     ------
     InputError
-        Frames that differ in size, are too small or not finite; an unknown parameter or method; a value
-        outside its range; fewer than one thread.
+        Frames that differ in size, are too small or infinite; an unknown parameter or method; a value outside
+        its range; fewer than one thread; a mask or an initial flow of another shape or type, or without data.
 
     Examples
     --------
@@ -71,29 +77,43 @@ def estimate_flow(
     """
     chosen = get_method(method).require()
     settings = FlowParams().replace(chosen.defaults).replace(params)
-    gray0, gray1 = to_gray(frame0, name="frame0"), to_gray(frame1, name="frame1")
+    gray0, gray1 = to_gray(frame0, name="frame0", nan=True), to_gray(frame1, name="frame1", nan=True)
     check_frames(gray0, gray1)
-    options = _options(chosen, initial_flow)
-    with use_threads(threads), threadpool_limits(1):
-        return chosen.estimate(gray0, gray1, settings, trace=trace, **options)
-
-
-def _options(method: Method, initial_flow: npt.ArrayLike | None) -> dict[str, Any]:
-    """Return the options that were given as arrays; refuse those that the method does not take."""
-    options: dict[str, Any] = {}
+    options, notices = dict[str, Any](), list[str]()
+    if mask is not None:
+        options["mask"] = _array(mask, "mask", "b", "bool, true where a pixel does not count")
     if initial_flow is not None:
-        options["initial_flow"] = _numbers(initial_flow, "initial_flow")
+        options["initial_flow"] = _array(initial_flow, "initial_flow", "fiu", "real numbers")
+    gaps = np.isnan([gray0, gray1])
+    if gaps.any():
+        options["mask"] = gaps if mask is None else gaps | check_mask(options["mask"], gray0.shape)
+        notices = [
+            _nan_notice(name, gap) for name, gap in zip(("frame0", "frame1"), gaps, strict=True) if gap.any()
+        ]
     for name in options:
-        if name not in method.options:
-            raise InputError(f"method {method.name!r} takes no `{name}`")
-    return options
+        if name not in chosen.options:
+            reason = f": {notices[0]}" if notices else ""
+            raise InputError(f"method {chosen.name!r} takes no `{name}`{reason}")
+    with use_threads(threads), threadpool_limits(1):
+        result: FlowResult = chosen.estimate(gray0, gray1, settings, trace=trace, **options)
+    result.notices += notices
+    return result
 
 
-def _numbers(values: npt.ArrayLike, name: str) -> npt.NDArray[Any]:
+def _nan_notice(name: str, gap: npt.NDArray[np.bool_]) -> str:
+    row, column = np.argwhere(gap)[0]
+    return (
+        f"{name}: {int(gap.sum())} of {gap.size} pixels are NaN and do not count, "
+        f"the first at row {row}, column {column}"
+    )
+
+
+def _array(values: npt.ArrayLike, name: str, kinds: str, what: str) -> npt.NDArray[Any]:
+    """Return an argument as an array whose dtype is of one of `kinds`."""
     try:
         array = np.asarray(values)
     except ValueError:  # nested lists of unequal lengths
         array = np.empty(0, object)
-    if array.dtype.kind not in "fiu":
-        raise InputError(f"`{name}` must be an array of real numbers")
+    if array.dtype.kind not in kinds:
+        raise InputError(f"`{name}` must be an array of {what}")
     return array

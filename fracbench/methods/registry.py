@@ -25,7 +25,7 @@ _PYRAMID = frozenset(FlowParams.names()) - _BEYOND - {
 }  # fmt: skip
 # For cheap iterations of little progress; the default of six is for the exact u-step.
 _SMALL_STEPS = {"epsilon": 0.02, "max_iter": 300, "n_warps": 5}
-_OPTIONS = frozenset({"initial_flow"})
+_OPTIONS = frozenset({"mask", "initial_flow"})
 _BREGMAN = frozenset(FlowParams.names()) - _BEYOND - {"alpha", "boundary", "pad", "tau"}
 
 

@@ -8,10 +8,12 @@ from dataclasses import dataclass, field
 from typing import TypedDict
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fracbench.errors import InputError
 from fracbench.model import pyramid
 from fracbench.model.data_terms.brightness import Brightness, Residual
+from fracbench.model.data_terms.masked import Masked, valid_shares, without_masked
 from fracbench.model.kernels.arrays import Array, aligned
 from fracbench.model.kernels.threads import parallel_map, worth_threads
 from fracbench.model.params import FlowParams
@@ -32,6 +34,7 @@ class RunOptions(TypedDict, total=False):
     """The keyword arguments that a method hands on to `coarse_to_fine`, for each pair of frames anew."""
 
     trace: bool
+    mask: NDArray[np.bool_] | None
     initial_flow: Array | None
 
 
@@ -91,6 +94,7 @@ def coarse_to_fine(
     make_flow_filter: FlowFilterFactory | None = None,
     method: str = "",
     trace: bool = False,
+    mask: NDArray[np.bool_] | None = None,
     initial_flow: Array | None = None,
 ) -> FlowResult:
     """Run Algorithm 1: stretch, smooth, build the pyramids, solve from the coarsest scale to the finest.
@@ -108,13 +112,15 @@ def coarse_to_fine(
         Name for the result.
     trace : bool, optional
         Record the energy after each iteration (slow).
+    mask : ndarray of bool, shape (H, W) or (2, H, W), optional
+        True at the pixels of both frames, or of frame 0 and frame 1, whose values do not count.
     initial_flow : ndarray, shape (2, H, W), optional
         Flow, pixels, to start from at the coarsest scale, in place of 0; see `pyramid.downsample_flow`.
 
     Raises
     ------
     InputError
-        Frames of different or too small size; an initial flow of another shape, or with values that are no flow.
+        Frames of different or too small size; a mask or an initial flow of another shape or type, or without data.
     """
     check_frames(frame0, frame1)
     if initial_flow is not None:
@@ -122,6 +128,8 @@ def coarse_to_fine(
     watch = Stopwatch()
     dtype = np.dtype(params.dtype)
     shapes = pyramid.scale_shapes(frame0.shape, params.eta, params.n_scales)
+    frame0, frame1 = without_masked(frame0, frame1, mask)
+    shares = None if mask is None else valid_shares(mask, shapes, params.eta, dtype)
     pyramids = parallel_map(
         lambda frame: pyramid.build(pyramid.smooth(frame, params.presmoothing), shapes, params.eta),
         pyramid.stretch(frame0, frame1, dtype),
@@ -131,12 +139,15 @@ def coarse_to_fine(
     if initial_flow is not None:
         flow[...] = pyramid.downsample_flow(initial_flow.astype(dtype), shapes, params.eta)
     levels: list[LevelReport] = []
-    for s in reversed(range(len(shapes))):
+    finest = min(params.finest_scale, len(shapes) - 1)
+    for s in reversed(range(finest, len(shapes))):
         with worth_threads(math.prod(shapes[s])):
             if s < len(shapes) - 1:
                 flow = pyramid.upsample_flow(flow, shapes[s], params.upsample_gain)
             frames = pyramids[0].pop(), pyramids[1].pop()
             residual, v_step = make_residual(*frames, params), make_v_step(flow, params)
+            if shares is not None:
+                residual = Masked(residual, shares[0].pop(), shares[1].pop())
             regularizer = make_regularizer(params, frames[0])
             filter_flow = make_flow_filter(*frames, params) if make_flow_filter else None
             del frames  # free the memory of frames that no part has kept
@@ -146,6 +157,9 @@ def coarse_to_fine(
             )
             levels.append(report)
             del residual, v_step, regularizer, filter_flow  # before those of the next scale are made
+    if finest:
+        flow = pyramid.upsample_flow(flow, shapes[0])
+        watch.lap("upsampling")
     return FlowResult(
         np.asarray(flow, np.float32), method, params, levels, dict(watch.seconds), _notices(params, shapes)
     )
@@ -179,9 +193,12 @@ def _size(shape: tuple[int, ...]) -> str:
 
 
 def _notices(params: FlowParams, shapes: list[tuple[int, int]]) -> list[str]:
-    if params.n_scales is None or len(shapes) == params.n_scales:
-        return []
-    return [
-        f"n_scales reduced from {params.n_scales} to {len(shapes)}: "
-        f"the coarsest image would be smaller than the smallest useful one ({_size(shapes[0])} pixels given)"
-    ]
+    notices = []
+    if params.n_scales is not None and len(shapes) < params.n_scales:
+        notices.append(
+            f"n_scales reduced from {params.n_scales} to {len(shapes)}: "
+            f"the coarsest image would be smaller than the smallest useful one ({_size(shapes[0])} pixels given)"
+        )
+    if params.finest_scale >= len(shapes):
+        notices.append(f"finest_scale reduced from {params.finest_scale} to {len(shapes) - 1}, the coarsest scale")
+    return notices

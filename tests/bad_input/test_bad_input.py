@@ -171,13 +171,11 @@ def test_a_flow_that_is_not_finite(files, refused, monkeypatch):
     refused(files, ["estimate", "a.png", "b.png", "-o", "out.flo"], "the computation diverged")
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_pixels_that_are_not_finite(bad):
+@pytest.mark.parametrize("bad", [np.inf, -np.inf])
+def test_pixels_that_are_infinite(bad):
     frame = np.zeros((9, 9))
     frame[4, 5] = bad
-    with pytest.raises(
-        InputError, match="frame1: 1 of 81 pixels are NaN or infinite, the first at row 4, column 5"
-    ):
+    with pytest.raises(InputError, match="frame1: 1 of 81 pixels are infinite, the first at row 4, column 5"):
         estimate_flow(np.zeros((9, 9)), frame)
 
 

@@ -226,6 +226,23 @@ def test_fewer_scales_than_asked_for_are_noticed():
     assert run("tvl1", *frames, n_warps=1).notices == []
 
 
+@METHODS
+def test_the_flow_of_a_coarser_scale_is_upsampled(method):
+    shape, motion = (47, 61), (2.6, -1.7)
+    result = run(method, *ref.translated_pair(shape, motion), finest_scale=1, **ACCURATE)
+    assert result.flow.shape == (2, *shape)
+    assert [level.shape for level in result.levels] == [(12, 16), (24, 31)]
+    assert end_point_error(result.flow, motion).max() < 0.1
+    assert result.notices == []
+
+
+def test_the_coarsest_scale_is_computed_in_any_case():
+    frames = ref.translated_pair((16, 40), (0.3, 0.2))
+    result = run("tvl1", *frames, finest_scale=7, n_warps=1)
+    assert [level.shape for level in result.levels] == [(8, 20)]
+    assert result.notices == ["finest_scale reduced from 7 to 1, the coarsest scale"]
+
+
 def test_a_run_that_overflows_is_reported_as_diverged(monkeypatch):
     """The gain is out of its range, because nothing within the ranges overflows."""
     monkeypatch.setattr(parameters, "_check_range", lambda *_: None)

@@ -25,7 +25,7 @@ MEASURES = {
 NO_DATA = "none"
 
 #: Parameters younger than stored results, with the values that leave these as they are: no part of a key.
-_YOUNGER = {"texture": "0", "occlusion": "median"}
+_YOUNGER = {"finest_scale": "0", "texture": "0", "occlusion": "median"}
 
 
 @dataclass(frozen=True)
