@@ -7,14 +7,16 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from fracbench.api import estimate_flow
     from fracbench.model.coarse_to_fine import FlowResult
+    from fracbench.model.confidence import Confidence
     from fracbench.model.params import FlowParams
 
 __version__ = "0.1.0"
-__all__ = ["FlowParams", "FlowResult", "__version__", "estimate_flow"]
+__all__ = ["Confidence", "FlowParams", "FlowResult", "__version__", "estimate_flow"]
 
 _HOMES = {
     "estimate_flow": "fracbench.api",
     "FlowResult": "fracbench.model.coarse_to_fine",
+    "Confidence": "fracbench.model.confidence",
     "FlowParams": "fracbench.model.params",
 }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from fracbench.data.gray import to_gray
 from fracbench.errors import InputError
 from fracbench.methods.registry import DEFAULT_METHOD, get_method
 from fracbench.model.coarse_to_fine import FlowResult, check_frames
+from fracbench.model.confidence import check_backward
 from fracbench.model.data_terms.masked import check_mask
 from fracbench.model.kernels.threads import use_threads
 from fracbench.model.params import FlowParams
@@ -24,6 +26,7 @@ def estimate_flow(
     method: str = DEFAULT_METHOD,
     mask: npt.ArrayLike | None = None,
     initial_flow: npt.ArrayLike | None = None,
+    confidence: bool = False,
     trace: bool = False,
     threads: int = 1,
     **params: Any,
@@ -47,6 +50,8 @@ def estimate_flow(
     initial_flow : array_like, shape (2, H, W), optional
         A flow to start from, pixels, for example that of the frames before. It is downsampled to the coarsest
         scale, where the computation begins: the fewer scales (`n_scales`), the more of it counts.
+    confidence : bool, optional
+        Compute the flow from `frame1` to `frame0` as well, in as much time again, and compare: see `Confidence`.
     trace : bool, optional
         Record the energy E(u, v) after each iteration (slow).
     threads : int, optional
@@ -58,7 +63,7 @@ def estimate_flow(
     Returns
     -------
     FlowResult
-        The flow, shape (2, H, W), float32, pixels, with iterations, stop reasons and seconds.
+        The flow, shape (2, H, W), float32, pixels, with iterations, stop reasons and seconds; in words, `ending`.
 
     Raises
     ------
@@ -74,6 +79,18 @@ def estimate_flow(
     >>> result = estimate_flow(frame, frame, alpha=1.2)
     >>> result.flow.shape, float(abs(result.flow).max())
     ((2, 48, 64), 0.0)
+
+    A block that does not count, and the check of the flow by the one back:
+
+    >>> mask = np.zeros(frame.shape, bool)
+    >>> mask[10:20, 30:40] = True
+    >>> shifted = np.roll(frame, 1, axis=1)
+    >>> shifted[mask] = np.nan
+    >>> result = estimate_flow(frame, shifted, mask=mask, confidence=True)
+    >>> result.notices
+    ['frame1: 100 of 3072 pixels are NaN and do not count, the first at row 10, column 30']
+    >>> bool(result.confidence.agrees[mask].all()), float(np.median(result.flow[0][mask]).round(1))
+    (True, 1.0)
     """
     chosen = get_method(method).require()
     settings = FlowParams().replace(chosen.defaults).replace(params)
@@ -96,6 +113,14 @@ def estimate_flow(
             raise InputError(f"method {chosen.name!r} takes no `{name}`{reason}")
     with use_threads(threads), threadpool_limits(1):
         result: FlowResult = chosen.estimate(gray0, gray1, settings, trace=trace, **options)
+        if confidence:
+            started = time.perf_counter()
+            options.pop("initial_flow", None)
+            if options.get("mask", gray0).ndim == 3:
+                options["mask"] = options["mask"][::-1]
+            back = chosen.estimate(gray1, gray0, settings, **options)
+            result.confidence = check_backward(result.flow, back.flow)
+            result.seconds["backward"] = time.perf_counter() - started
     result.notices += notices
     return result
 

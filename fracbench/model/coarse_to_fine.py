@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from fracbench.errors import InputError
 from fracbench.model import pyramid
+from fracbench.model.confidence import Confidence
 from fracbench.model.data_terms.brightness import Brightness, Residual
 from fracbench.model.data_terms.masked import Masked, valid_shares, without_masked
 from fracbench.model.kernels.arrays import Array, aligned
@@ -55,6 +56,8 @@ class FlowResult:
         Wall-clock seconds by phase.
     notices : list of str
         Notices for the user, e.g. that the image allows fewer scales than `n_scales`.
+    confidence : Confidence or None
+        The forward-backward check, where it was asked for.
     """
 
     flow: Array
@@ -63,6 +66,7 @@ class FlowResult:
     levels: list[LevelReport] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
     notices: list[str] = field(default_factory=list)
+    confidence: Confidence | None = None
 
     @property
     def iterations(self) -> list[list[int]]:
@@ -81,6 +85,20 @@ class FlowResult:
         if not self.levels:
             return "not told"
         return "max_iter" if "max_iter" in reasons else "converged"
+
+    @property
+    def ending(self) -> str:
+        """The end of the computation in words: warps that reached the limit of iterations, and the last change."""
+        if self.stop_reason == "diverged":
+            return "diverged"
+        if not self.levels:
+            return "the method does not report how it ended"
+        stops = [reason for level in self.levels for reason in level.stop]
+        limited, last = stops.count("max_iter"), self.levels[-1]
+        change = last.change[-1] * self.flow.shape[2] / last.shape[1]
+        warps = f"all {len(stops)} warps" if limited in (0, len(stops)) else f"{limited} of {len(stops)} warps"
+        ended = f"reached the limit of {self.params.max_iter} iterations" if limited else "converged"
+        return f"{warps} {ended}; the last iteration changed the flow by {change:.2g} px"
 
 
 def coarse_to_fine(
