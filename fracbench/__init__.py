@@ -6,18 +6,26 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fracbench.api import estimate_flow
+    from fracbench.data.datasets.base import Dataset
+    from fracbench.data.pair import FramePair
+    from fracbench.methods.method import Method
     from fracbench.model.coarse_to_fine import FlowResult
     from fracbench.model.confidence import Confidence
     from fracbench.model.params import FlowParams
 
 __version__ = "0.1.0"
-__all__ = ["Confidence", "FlowParams", "FlowResult", "__version__", "estimate_flow"]
+__all__ = [
+    "Confidence", "Dataset", "FlowParams", "FlowResult", "FramePair", "Method", "__version__", "estimate_flow"
+]  # fmt: skip
 
 _HOMES = {
     "estimate_flow": "fracbench.api",
     "FlowResult": "fracbench.model.coarse_to_fine",
     "Confidence": "fracbench.model.confidence",
     "FlowParams": "fracbench.model.params",
+    "Method": "fracbench.methods.method",
+    "Dataset": "fracbench.data.datasets.base",
+    "FramePair": "fracbench.data.pair",
 }
 
 

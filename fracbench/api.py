@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,8 @@ from threadpoolctl import threadpool_limits
 
 from fracbench.data.gray import to_gray
 from fracbench.errors import InputError
+from fracbench.harness.config.compose import protocol_settings
+from fracbench.methods.method import Method
 from fracbench.methods.registry import DEFAULT_METHOD, get_method
 from fracbench.model.coarse_to_fine import FlowResult, check_frames
 from fracbench.model.confidence import check_backward
@@ -18,12 +21,16 @@ from fracbench.model.data_terms.masked import check_mask
 from fracbench.model.kernels.threads import use_threads
 from fracbench.model.params import FlowParams
 
+#: The preset of flows of one's own: the defaults of `FlowParams`.
+DEFAULT_PROTOCOL = "recommended"
+
 
 def estimate_flow(
     frame0: npt.ArrayLike,
     frame1: npt.ArrayLike,
     *,
-    method: str = DEFAULT_METHOD,
+    protocol: str = DEFAULT_PROTOCOL,
+    method: str | None = None,
     mask: npt.ArrayLike | None = None,
     initial_flow: npt.ArrayLike | None = None,
     confidence: bool = False,
@@ -33,7 +40,7 @@ def estimate_flow(
 ) -> FlowResult:
     """Estimate the optical flow from `frame0` to `frame1`.
 
-    Without further arguments this is fractional TV-L1 with the preset `recommended`: alpha = 1.1, flow
+    Without further arguments this is fractional TV-L1 with the preset ``recommended``: alpha = 1.1, flow
     mirrored about the image's edges, exact u-step with a warm start.
 
     Parameters
@@ -42,8 +49,13 @@ def estimate_flow(
         Frames, gray or colour, of any integer or floating type; never changed. Colour becomes gray by
         ``0.299 R + 0.587 G + 0.114 B`` (rounded down for integers); alpha channels are ignored. Pixels that
         are NaN do not count, as if they were in the mask; a notice says how many there are.
+    protocol : str, optional
+        The preset: ``fast`` (half-size frames), ``recommended``, ``accurate`` (a third of the error of TV-L1's
+        defaults, slower), or another file of ``conf/protocol``, of the package or of the working folder.
     method : str, optional
-        Name in the registry; ``fracbench methods`` lists them.
+        Name in the registry (``fracbench methods`` lists them) or of the entry point of an installed package. By
+        default it is the method of the preset. Methods with parameters of their own take none from a preset that
+        names another method.
     mask : array_like of bool, shape (H, W) or (2, H, W), optional
         True at the pixels of both frames, or of `frame0` and `frame1`, whose values do not count. Their flow, and
         that of pixels that move to a masked one, is filled in by the regulariser.
@@ -58,7 +70,8 @@ def estimate_flow(
         Threads of the solver; the flow does not depend on their number, but for the rounding of products of
         matrices under ``boundary="zero"``. The peers have threads of their own.
     **params
-        Parameters of `FlowParams`, e.g. ``alpha=1.2``, ``lambda_=0.5``.
+        Parameters of the method, on top of those of the preset: those of `FlowParams`, e.g. ``alpha=1.2``,
+        ``lambda_=0.5``, for the methods of this package.
 
     Returns
     -------
@@ -68,8 +81,9 @@ def estimate_flow(
     Raises
     ------
     InputError
-        Frames that differ in size, are too small or infinite; an unknown parameter or method; a value outside
-        its range; fewer than one thread; a mask or an initial flow of another shape or type, or without data.
+        Frames that differ in size, are too small or infinite; an unknown parameter, method or protocol; a value
+        outside its range; fewer than one thread; a mask or an initial flow of another shape or type, or without
+        data; either of them for a method that does not take it.
 
     Examples
     --------
@@ -92,8 +106,7 @@ def estimate_flow(
     >>> bool(result.confidence.agrees[mask].all()), float(np.median(result.flow[0][mask]).round(1))
     (True, 1.0)
     """
-    chosen = get_method(method).require()
-    settings = FlowParams().replace(chosen.defaults).replace(params)
+    chosen, settings = settings_of(protocol, method, params)
     gray0, gray1 = to_gray(frame0, name="frame0", nan=True), to_gray(frame1, name="frame1", nan=True)
     check_frames(gray0, gray1)
     options, notices = dict[str, Any](), list[str]()
@@ -107,22 +120,32 @@ def estimate_flow(
         notices = [
             _nan_notice(name, gap) for name, gap in zip(("frame0", "frame1"), gaps, strict=True) if gap.any()
         ]
-    for name in options:
-        if name not in chosen.options:
-            reason = f": {notices[0]}" if notices else ""
-            raise InputError(f"method {chosen.name!r} takes no `{name}`{reason}")
+    if notices and "mask" not in chosen.options:
+        raise InputError(f"method {chosen.name!r} takes no `mask`: {notices[0]}")
     with use_threads(threads), threadpool_limits(1):
-        result: FlowResult = chosen.estimate(gray0, gray1, settings, trace=trace, **options)
+        result = chosen.compute(gray0, gray1, settings, trace=trace, **options)
         if confidence:
             started = time.perf_counter()
             options.pop("initial_flow", None)
             if options.get("mask", gray0).ndim == 3:
                 options["mask"] = options["mask"][::-1]
-            back = chosen.estimate(gray1, gray0, settings, **options)
+            back = chosen.compute(gray1, gray0, settings, **options)
             result.confidence = check_backward(result.flow, back.flow)
             result.seconds["backward"] = time.perf_counter() - started
     result.notices += notices
     return result
+
+
+def settings_of(protocol: str, method: str | None, params: Mapping[str, Any]) -> tuple[Method, Any]:
+    """Return the method and all of its parameters for `estimate_flow`."""
+    named, preset = DEFAULT_METHOD, dict[str, Any]()
+    if protocol != DEFAULT_PROTOCOL:  # it sets nothing, so that Hydra need not be loaded
+        named, preset = protocol_settings(protocol)
+    chosen = get_method(method or named).require()
+    settings = chosen.start()
+    if chosen.name == named or chosen.params is FlowParams:
+        settings = chosen.replace(settings, preset)
+    return chosen, chosen.replace(settings, params)
 
 
 def _nan_notice(name: str, gap: npt.NDArray[np.bool_]) -> str:

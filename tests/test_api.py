@@ -6,10 +6,13 @@ import inspect
 import numpy as np
 import pytest
 import reference_impl as ref
+import yaml
 
 import fracbench
 from fracbench import FlowParams, api, estimate_flow
 from fracbench.errors import InputError
+from fracbench.harness.config.paths import asset
+from fracbench.methods.registry import get_method
 
 QUICK = {"n_warps": 2, "max_iter": 5}
 
@@ -109,6 +112,39 @@ def test_a_method_brings_its_own_defaults(gray):
     assert estimate(gray, method="tvl1_sb", inner="warm").params.inner == "warm"
 
 
+def test_a_protocol_gives_its_method_and_parameters_and_own_ones_win(gray):
+    preset = yaml.safe_load(asset("conf/protocol/accurate.yaml").read_text(encoding="utf-8"))
+    result = estimate_flow(*gray, protocol="accurate", n_warps=2)
+    assert result.method == preset["method"]
+    expected = {**preset["params"], "n_warps": 2}
+    assert result.params == FlowParams().replace(get_method(preset["method"]).defaults).replace(expected)
+    same = estimate_flow(*gray, method=preset["method"], **{**preset["params"], "n_warps": 2})
+    np.testing.assert_array_equal(result.flow, same.flow)
+    assert (
+        estimate_flow(*gray, protocol="accurate", method="tvl1", max_iter=2).params.eta == preset["params"]["eta"]
+    )
+
+
+def test_the_default_protocol_is_the_file_of_that_name(gray, monkeypatch):
+    quick = estimate(gray)
+    monkeypatch.setattr(api, "DEFAULT_PROTOCOL", "none")  # so that the file is read
+    read = estimate(gray, protocol="recommended")
+    assert (read.method, read.params) == (quick.method, quick.params)
+
+
+def test_peers_take_nothing_from_a_protocol(gray):
+    pytest.importorskip("cv2", reason="needs the extra `peers`")
+    plain = estimate_flow(*gray, method="opencv_dis")
+    assert (plain.method, plain.stop_reason, plain.flow.dtype) == ("opencv_dis", "not told", np.float32)
+    np.testing.assert_array_equal(estimate_flow(*gray, method="opencv_dis", protocol="accurate").flow, plain.flow)
+    refused(
+        "method 'opencv_dis': unknown parameter 'reset': did you mean 'preset'",
+        *gray,
+        method="opencv_dis",
+        reset=1,
+    )
+
+
 def test_the_energy_is_traced_on_request(gray):
     assert estimate(gray).levels[0].energy == []
     traced = estimate(gray, trace=True)
@@ -158,6 +194,10 @@ def test_unknown_methods_offer_the_nearest(gray):
     refused(r"unknown method 'zzzz' \(allowed: .*tvl1, tvl1_sb, tvl1_sb_alpha", *gray, method="zzzz")
 
 
+def test_unknown_protocols_offer_the_nearest(gray):
+    refused("unknown protocol 'acurate': did you mean 'accurate'?", *gray, protocol="acurate")
+
+
 def test_unknown_parameters_offer_the_nearest(gray):
     refused("unknown parameter 'lamda': did you mean 'lambda'?", *gray, lamda=0.3)
     refused("unknown parameter 'warps': did you mean 'n_warps'?", *gray, warps=3)
@@ -191,9 +231,9 @@ def test_the_examples_hold():
 
 
 def test_the_public_names_are_there():
-    assert {"estimate_flow", "FlowParams", "FlowResult"} <= set(fracbench.__all__)
+    assert {"estimate_flow", "FlowParams", "FlowResult", "Method"} <= set(fracbench.__all__)
     for name in fracbench.__all__:
         assert getattr(fracbench, name) is not None
-    assert inspect.signature(estimate_flow).parameters["method"].default == api.DEFAULT_METHOD
+    assert inspect.signature(estimate_flow).parameters["protocol"].default == api.DEFAULT_PROTOCOL
     with pytest.raises(AttributeError, match="no attribute 'estimate_fow'"):
         _ = fracbench.estimate_fow

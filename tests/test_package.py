@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import re
 import shutil
@@ -215,7 +216,11 @@ def test_every_import_is_declared(project):
     declared = {re.split(r"[<>=!~\[; ]", word)[0].lower() for word in wanted}
     imported = set()
     for path in (ROOT / "fracbench").rglob("*.py"):
-        imported |= set(re.findall(r"^\s*(?:import|from) +([A-Za-z_]\w*)", path.read_text(), re.MULTILINE))
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                imported |= {alias.name.partition(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module:
+                imported.add(node.module.partition(".")[0])
     others = {name for name in imported if name not in sys.stdlib_module_names and name != "fracbench"}
     assert {"numpy", "hydra"} <= others
     assert {names.get(name, name).lower() for name in others} <= declared

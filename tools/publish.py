@@ -36,7 +36,7 @@ def computed(results: Path) -> list[Path]:
         path.relative_to(results)
         for folder in FOLDERS
         for path in sorted((results / folder).glob("*"))
-        if wanted.fullmatch(path.name) and not path.stem.endswith(endings)
+        if wanted.fullmatch(path.name) and not path.stem.endswith(endings) and "__" not in path.stem
     ]
 
 

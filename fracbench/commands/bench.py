@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 STUDIES = {"size": "growth", "jobs": "jobs", "roofline": "roofline"}
 
 
-def bench(study: str | None, tokens: Sequence[str], *, repeats: int, threads: int, only: Sequence[str]) -> None:
-    """Time the contenders, print the table, write CSV and picture below ``results/runs/bench``.
+def bench(study: str | None, tokens: Sequence[str], *, repeats: int, threads: int, only: Sequence[str]) -> bool:
+    """Time the contenders, print the table, write CSV and picture; say whether no contender failed.
 
     `tokens` choose sequences, data set and paths; `threads` are those of the solver and of OpenCV.
     """
@@ -36,7 +36,9 @@ def bench(study: str | None, tokens: Sequence[str], *, repeats: int, threads: in
     tokens = tokens or ["sequence=all"]
     racers = measure.contenders(only)
     some = "_some" if only else ""  # not in place of the race of all
-    plan, stem = make_plan(tokens), results_stem(tokens, f"bench_{threads}_threads{some}")
+    plan = make_plan(tokens)
+    data = "" if plan.dataset in ("middlebury", "synthetic") else f"_{plan.dataset}"
+    stem = results_stem(tokens, f"bench_{threads}_threads{some}{data}")
     with console.progress(len(plan.points) * len(racers) * repeats, "bench") as advance:
         records = measure.run(racers, tokens, repeats=repeats, threads=threads, on_lap=advance)
     summary = figures.summarise(records, measure.YARDSTICK)
@@ -49,6 +51,7 @@ def bench(study: str | None, tokens: Sequence[str], *, repeats: int, threads: in
     figure = figures.error_against_time(summary, f"Error against time, {threads} thread(s)")
     for path in save_figure(figure, stem):
         console.say(f"wrote {path}")
+    return {racer.name for racer in racers} == set(summary["contender"])
 
 
 def results_stem(tokens: Sequence[str], name: str) -> Path:

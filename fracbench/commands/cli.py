@@ -135,6 +135,7 @@ def _add_paper(add: _Add) -> None:
     report = add("report", _report, "compute the whole paper, judge its claims and write one HTML page")
     _add_points(report, _SETTINGS, rerun=False)
     report.add_argument("--beyond", action="store_true", help="run the experiments beyond the paper instead")
+    report.add_argument("--only", default="", metavar="NAME,...", help="compute these experiments alone")
     claims = add("claims", _claims, "judge the paper's claims by the stored results; compute nothing")
     claims.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help=_STORED)
     claims.add_argument("--small", action="store_true", help="judge the results of report --small")
@@ -202,8 +203,9 @@ def _add_upkeep(add: _Add) -> None:
     )
     moved = "has moved: python benchmarks/STUDY.py, in a checkout"
     bench.add_argument("--study", choices=["size", "jobs", "roofline"], help=moved)
-    data = add("data", _data, "show where the Middlebury images are and whether their files are complete")
-    data.add_argument("--download", action="store_true", help="download the missing files first")
+    data = add("data", _data, "list the datasets, show where their files are, and check those of Middlebury")
+    data.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="dataset=NAME and paths.data=FOLDER")
+    data.add_argument("--download", action="store_true", help="download Middlebury's missing files first")
     add("methods", _methods, "list the methods and the parameters that each depends on")
 
 
@@ -280,6 +282,7 @@ def _report(arguments: argparse.Namespace) -> int:
         small=arguments.small,
         dry_run=arguments.dry_run,
         beyond=arguments.beyond,
+        only=[name for name in arguments.only.split(",") if name],
     )
     return EXIT_FAILED if failed else EXIT_DONE
 
@@ -340,35 +343,34 @@ def _compare(arguments: argparse.Namespace) -> int:
     return EXIT_DONE if maintain.compare_runs(arguments.first, arguments.second) else EXIT_CHECK
 
 
-def _bench(arguments: argparse.Namespace) -> None:
+def _bench(arguments: argparse.Namespace) -> int:
     from fracbench.commands.bench import bench
 
     only = [name for name in arguments.only.split(",") if name]
-    bench(arguments.study, arguments.overrides, repeats=arguments.repeats, threads=arguments.threads, only=only)
+    whole = bench(
+        arguments.study, arguments.overrides, repeats=arguments.repeats, threads=arguments.threads, only=only
+    )
+    return EXIT_DONE if whole else EXIT_FAILED
 
 
 def _data(arguments: argparse.Namespace) -> int:
-    from fracbench.data.datasets import middlebury
+    from fracbench.commands import data
 
-    if arguments.download:
-        middlebury.download(middlebury.download_folder())
-    location = middlebury.find()
-    console.say(f"Middlebury: {location.folder} (from {location.source})")
-    states = {name: middlebury.state(name, location.folder) for name in middlebury.SEQUENCES}
-    for name, state in states.items():
-        console.say(f"  {name:12s} {state.state}")
-        for file in state.files:
-            if file.state != "ok":
-                console.say(f"    {file.message}")
-    return EXIT_DONE if all(state.state == "ok" for state in states.values()) else EXIT_CHECK
+    whole = data.show(arguments.overrides, download=arguments.download)
+    return EXIT_DONE if whole else EXIT_CHECK
 
 
 def _methods(_: argparse.Namespace) -> None:
-    from fracbench.methods.registry import METHODS
+    from fracbench.methods.registry import all_methods
 
-    for method in METHODS.values():
+    methods, unusable = all_methods()
+    for method in methods:
         console.say(f"{method.name}: {method.label}, {method.summary}")
-        console.say(f"    depends on {', '.join(sorted(method.uses))}")
+        if method.package:
+            console.say(f"    from {method.package} {method.release}, version {method.version or 'not given'}")
+        console.say(f"    depends on {', '.join(sorted(method.uses)) or 'no parameters'}")
+    for line in unusable:
+        console.say(f"cannot be used: {line}")
 
 
 if __name__ == "__main__":

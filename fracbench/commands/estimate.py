@@ -37,19 +37,15 @@ def estimate_pair(
     The errors are printed if the true flow is given, and the confidence is drawn if a file for it is named.
     `method` is by default that of the protocol in `overrides`.
     """
-    from fracbench.api import estimate_flow
+    from fracbench.api import DEFAULT_PROTOCOL, estimate_flow, settings_of
     from fracbench.data.files import read_flow, read_image, write_image
-    from fracbench.harness.config.compose import protocol_settings
-    from fracbench.model.params import FlowParams
 
     grid = parse_overrides(overrides)
     if grid.size > 1:
         raise InputError(f"estimate takes one value a parameter ({' '.join(overrides)}); use sweep for grids")
-    given = dict(next(grid.points()))
-    protocol = given.pop("protocol", "")
-    protocol_method, preset = protocol_settings(protocol or "recommended")
-    values: dict[str, Any] = {**preset, **given}
-    FlowParams().replace(values)
+    given: dict[str, Any] = next(grid.points())
+    protocol = given.pop("protocol", DEFAULT_PROTOCOL)
+    settings_of(protocol, method, given)  # which refuses what is wrong before anything is read
     picture = color or picture_beside(output)
     inputs = [path for path in (frame0, frame1, truth, mask, initial_flow) if path is not None]
     _require_outputs(output, [picture, confidence] if confidence else [picture], inputs)
@@ -61,16 +57,16 @@ def estimate_pair(
     result = estimate_flow(
         first,
         second,
-        method=method or protocol_method.name,
+        protocol=protocol,
+        method=method,
         mask=hidden,
         initial_flow=start,
         confidence=confidence is not None,
         threads=threads,
-        **values,
+        **given,
     )
     changes = " ".join(token for token in overrides if token != f"protocol={protocol}")
-    preset_name = f"preset {protocol or 'recommended'}"
-    say_result(result, f"{preset_name} with {changes}" if changes else preset_name)
+    say_result(result, f"preset {protocol} with {changes}" if changes else f"preset {protocol}")
     if expected is not None:
         say_errors(result.flow, expected)
     write_flow_and_picture(result.flow, output, picture)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from fracbench.commands import console
 from fracbench.commands.run import run_plan, say_cost, say_failures
+from fracbench.errors import InputError, unknown_name
 from fracbench.harness.config.experiment import Experiment, list_experiments, load_experiment
 from fracbench.harness.run.plan import Plan, plan_artefact, plan_experiment
 from fracbench.harness.run.store import STORE, Store
@@ -29,10 +30,12 @@ def report(
     small: bool = False,
     dry_run: bool = False,
     beyond: bool = False,
+    only: Sequence[str] = (),
 ) -> int:
     """Compute the paper's missing points, judge its claims, write the HTML page; return the number of failures.
 
-    With `beyond`, the experiments beyond the paper take the place of the paper's, and no claim is judged.
+    With `beyond`, the experiments beyond the paper take the place of the paper's, and no claim is judged;
+    with `only`, those experiments do.
     `settings` are overrides of data set, paths and parallel; `jobs` is by default the number in the configuration.
     """
     from fracbench.harness.run.pool import parallel_map
@@ -47,7 +50,15 @@ def report(
         console.note(f"note: {notice}")
     if start.dataset == "synthetic":  # decided once: where there is no network, each look for data costs seconds
         settings = [*(token for token in settings if not token.startswith("dataset=")), "dataset=synthetic"]
-    wanted = EXPERIMENTS if beyond else PAPER
+    wanted = only or (EXPERIMENTS if beyond else PAPER)
+    for name in only:
+        if name not in (known := list_experiments()):
+            raise unknown_name("experiment", name, known)
+    if start.foreign and not only:
+        raise InputError(
+            f"report: most of the paper is about regions, which dataset={start.dataset} does not have; name the "
+            "experiments to run, e.g. --only table2"
+        )
     experiments = {name: load_experiment(name) for name in wanted if name in list_experiments()}
     plans = {
         name: plan_artefact(experiment, settings, allow_download=not dry_run, small=small)
@@ -57,15 +68,15 @@ def report(
     if dry_run:
         say_cost(_together(plans), workers)
         return 0
-    for experiment in experiments.values():
-        require_renderer(experiment)
+    for name, experiment in experiments.items():
+        require_renderer(experiment, plans[name])
     done = run_plan(_together(plans), "report", workers)
     console.say(f"{len(done.rows)} points, {done.computed} computed")
-    sources = Sources(start.config.results, settings, small, plans)
+    sources = Sources(start.config.results, settings, small, plans, only or None)
     drawing = [(_draw, experiment, plans[name], Path.cwd()) for name, experiment in experiments.items()]
     flows = [(compute_flow, *flow) for flow in missing_flows(sources)]
     finished = parallel_map(_call, [*drawing, *flows], workers, "all points are stored")
-    verdicts = [] if beyond else write_verdicts(sources)  # while the workers draw
+    verdicts = [] if beyond or only else write_verdicts(sources)  # while the workers draw
     for name, plan in plans.items():
         files = next(finished)
         folders = ", ".join(dict.fromkeys(str(path.parent) for path in files))

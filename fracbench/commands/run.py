@@ -42,7 +42,7 @@ def run_experiment(
         return 0
     from fracbench.studies.registry import render, require_renderer
 
-    require_renderer(experiment)
+    require_renderer(experiment, plan)
     report = run_plan(plan, experiment.name, workers, rerun_failed=rerun_failed)
     artefact = render(experiment, plan, report.rows, plan.config.results)
     _say_computed(report)
@@ -141,7 +141,7 @@ def run_point(tokens: Sequence[str]) -> None:
     point = planned.point
     folder = ensure_folder(plan.config.results / RUNS / "flows")
     frame0, frame1, truth, inner = point_arrays(point, plan.folder)
-    result = get_method(point.method).estimate(frame0, frame1, point.params)
+    result = get_method(point.method).compute(frame0, frame1, point.params)
     flow = result.flow[(slice(None), *inner)]
     place = planned.labels["sequence" if point.region is None else "region"]
     name = f"{place}_{point.method}_{point.key[:8]}"

@@ -13,10 +13,10 @@ import secrets
 import stat
 import struct
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,7 @@ _DEFLATE_MAX_RATIO = 1032  # no deflate stream expands by more
 _PICTURES = ("PNG", "JPEG", "PPM", "BMP", "TIFF", "GIF", "WEBP")
 
 Pathish = str | os.PathLike[str]
+T = TypeVar("T")
 
 
 @contextmanager
@@ -87,6 +88,23 @@ def read_image(path: Pathish) -> NDArray[Any]:
 
 def decode_image(data: bytes, where: str) -> NDArray[Any]:
     """Decode the bytes of a picture; see `read_image`. `where` is what messages call it."""
+    return _with_image(data, where, _pixels)
+
+
+def image_shape(data: bytes, where: str) -> tuple[int, int]:
+    """Return the height and width in the head of a picture."""
+    return _with_image(data, where, lambda image: (image.height, image.width))
+
+
+def mask_shape(data: bytes, where: str) -> tuple[int, int]:
+    """Return the height and width of a mask, an 8-bit gray picture; InputError for other pictures."""
+    mode, shape = _with_image(data, where, lambda image: (image.mode, (image.height, image.width)))
+    if mode not in ("1", "L"):
+        raise InputError(f"{where}: not a mask, which is an 8-bit gray picture (the mode of this one is {mode})")
+    return shape
+
+
+def _with_image(data: bytes, where: str, read: Callable[[Any], T]) -> T:
     from PIL import Image, UnidentifiedImageError
 
     try:
@@ -95,7 +113,7 @@ def decode_image(data: bytes, where: str) -> NDArray[Any]:
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             with Image.open(io.BytesIO(data), formats=_PICTURES) as image:
                 _require_plausible(image.size, len(data))
-                return _pixels(image)
+                return read(image)
     except Exception as exc:  # Pillow's decoders let nearly any exception through on damaged files
         why = "unknown format" if isinstance(exc, UnidentifiedImageError) else _reason(exc)
         raise InputError(f"{where}: not a picture that can be read ({why})") from exc
@@ -150,8 +168,18 @@ def read_flow(path: Pathish) -> NDArray[np.float32]:
     ndarray of float32, (2, H, W)
         Pixels, x to the right then y down; NaN in both components where unknown.
     """
-    decode = decode_flo if _flow_suffix(path) == ".flo" else decode_kitti_png
-    return decode(read_bytes(path), str(path))
+    _flow_suffix(path)
+    return decode_flow(read_bytes(path), str(path))
+
+
+def decode_flow(data: bytes, where: str) -> NDArray[np.float32]:
+    """Decode the bytes of a flow field; `where` is its path, whose suffix decides the format; see `read_flow`."""
+    return (decode_flo if _flow_suffix(where) == ".flo" else decode_kitti_png)(data, where)
+
+
+def flow_shape(data: bytes, where: str) -> tuple[int, int]:
+    """Return the height and width in the head of a flow field; see `decode_flow`."""
+    return (_check_flo_header if _flow_suffix(where) == ".flo" else _check_kitti_header)(data, where)
 
 
 def write_flow(path: Pathish, flow: NDArray[Any]) -> None:
@@ -176,6 +204,13 @@ def _flow_suffix(path: Pathish) -> str:
 
 def decode_flo(data: bytes, where: str) -> NDArray[np.float32]:
     """Decode the bytes of a ``.flo`` file; `where` is what messages call it."""
+    height, width = _check_flo_header(data, where)
+    pairs = np.frombuffer(data, dtype="<f4", offset=12).reshape(height, width, 2)
+    return mark_unknown(np.moveaxis(pairs, 2, 0))
+
+
+def _check_flo_header(data: bytes, where: str) -> tuple[int, int]:
+    """Return (height, width) of a ``.flo`` file that is as long as its header promises."""
     if not data:
         raise InputError(f"{where}: the file is empty")
     if len(data) < 12 or data[:4] != FLO_TAG:
@@ -187,8 +222,7 @@ def decode_flo(data: bytes, where: str) -> NDArray[np.float32]:
     if len(data) != expected:
         fault = "cut off" if len(data) < expected else "followed by something else"
         raise InputError(f"{where}: {fault}: {width} x {height} needs {expected} bytes, found {len(data)}")
-    pairs = np.frombuffer(data, dtype="<f4", offset=12).reshape(height, width, 2)
-    return mark_unknown(np.moveaxis(pairs, 2, 0))
+    return height, width
 
 
 def mark_unknown(flow: NDArray[Any]) -> NDArray[np.float32]:

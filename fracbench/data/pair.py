@@ -27,6 +27,8 @@ class FramePair:
         SHA-256, in hexadecimal, of what the data are made from: equal digests mean equal data.
     frame0_color : ndarray of uint8, (H, W, 3), or None
         The first frame in colour, for pictures; read-only.
+    matched : ndarray of bool, (H, W), or None
+        True at pixels that both frames show, False at those that are occluded in frame 1 or leave it; read-only.
     """
 
     name: str
@@ -36,6 +38,7 @@ class FramePair:
     truth: NDArray[np.float32] | None
     digest: str
     frame0_color: NDArray[np.uint8] | None = None
+    matched: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         shape = np.shape(self.frame0)
@@ -45,6 +48,8 @@ class FramePair:
             self._freeze("truth", np.float32, (2, *shape))
         if self.frame0_color is not None:
             self._freeze("frame0_color", np.uint8, (*shape, 3))
+        if self.matched is not None:
+            self._freeze("matched", np.bool_, shape)
 
     @property
     def shape(self) -> tuple[int, int]:

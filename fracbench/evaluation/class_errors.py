@@ -1,7 +1,8 @@
-"""Errors of a flow within each class of pixels."""
+"""Errors of a flow within classes of pixels."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -21,8 +22,12 @@ def errors_by_class(flow: Any, truth: Any, classes: Any) -> dict[str, FlowErrors
     classes : array_like of integers, (H, W)
         From `fracbench.model.structure.structure_classes`.
     """
+    if np.shape(classes) != np.shape(truth)[1:]:
+        raise InputError(f"the classes have the shape {np.shape(classes)}, the flow {np.shape(truth)[1:]}")
+    return errors_by_mask(flow, truth, {name: np.asarray(classes) == index for index, name in enumerate(CLASSES)})
+
+
+def errors_by_mask(flow: Any, truth: Any, masks: Mapping[str, Any]) -> dict[str, FlowErrors]:
+    """Return the errors of a flow by mask (bool, (H, W)), for the masks with pixels of known true flow."""
     known = np.isfinite(endpoint_error(np.zeros_like(truth), truth))
-    if np.shape(classes) != known.shape:
-        raise InputError(f"the classes have the shape {np.shape(classes)}, the flow {known.shape}")
-    masks = {name: np.asarray(classes) == index for index, name in enumerate(CLASSES)}
     return {name: flow_errors(flow, truth, mask) for name, mask in masks.items() if (mask & known).any()}

@@ -123,6 +123,23 @@ def robustness(epe: Any, threshold: float) -> float:
     return 100.0 * float(np.mean(_known_errors(epe) > threshold))
 
 
+def outliers(flow: Any, truth: Any) -> float:
+    """Return Fl, the share of outliers of the KITTI benchmark, in per cent of the pixels of known true flow.
+
+    An outlier is a pixel whose end-point error is above 3 pixels and above 5 % of the length of the true flow.
+
+    Parameters
+    ----------
+    flow, truth : array_like, (2, H, W)
+        The estimate and the true flow, pixels.
+    """
+    epe = endpoint_error(flow, truth)
+    known = ~np.isnan(epe)
+    lengths = np.hypot(*np.asarray(truth, np.float64)[:, known])
+    errors = _known_errors(epe)
+    return 100.0 * float(np.mean((errors > 3.0) & (errors > 0.05 * lengths)))
+
+
 def accuracy(epe: Any, percentile: float) -> float:
     """Return A: the smallest error that `percentile` per cent of the pixels do not exceed.
 

@@ -1,96 +1,183 @@
-"""Other programs behind our registry, each with its own defaults; they take nothing from `FlowParams`.
+"""Other programs as methods, each with its own defaults.
 
 OpenCV is given 8-bit frames, its native input; scikit-image frames scaled to 0..1, as its defaults expect.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-from typing import Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
+from fracbench.methods.method import Method, fields_of
+from fracbench.model.params import public_name
 
-from fracbench.model.coarse_to_fine import FlowResult
-from fracbench.model.kernels.arrays import Array
-from fracbench.model.params import FlowParams
+if TYPE_CHECKING:
+    from fracbench.model.kernels.arrays import Array
 
-#: lambda = .15 on 0..255, IPOL's default, as scikit-image counts it on 0..1.
+#: lambda = 0.15 on 0..255, IPOL's default, as scikit-image counts it on 0..1.
 IPOL_ATTACHMENT = 0.15 * 255.0
 #: Threads that OpenCV may use. One, so that tables do not depend on the machine; the benchmark sets others.
 opencv_threads = 1
 
 
-def opencv_tvl1(frame0: Array, frame1: Array, params: FlowParams, *, trace: bool = False) -> FlowResult:
-    """Run OpenCV's DualTVL1 with its defaults (5 scales, step .8, median filter 5)."""
-    return _opencv("opencv_tvl1", frame0, frame1, params, lambda cv2: cv2.optflow.DualTVL1OpticalFlow_create())
+@dataclass(frozen=True)
+class DualTVL1:
+    """Parameters of OpenCV's TV-L1."""
+
+    lambda_: float = 0.15
+    n_scales: int = 5
+    scale_step: float = 0.8
+    median_filter: int = 5
 
 
-def opencv_tvl1_deep(frame0: Array, frame1: Array, params: FlowParams, *, trace: bool = False) -> FlowResult:
-    """Run OpenCV's DualTVL1 with 6 scales, step .5: deep enough for the large motions."""
+@dataclass(frozen=True)
+class Dis:
+    """Parameters of OpenCV's dense inverse search."""
 
-    def create(cv2: Any) -> Any:
-        return cv2.optflow.DualTVL1OpticalFlow_create(scaleStep=0.5, nscales=6)
-
-    return _opencv("opencv_tvl1_deep", frame0, frame1, params, create)
+    preset: Literal["ultrafast", "fast", "medium"] = "medium"
 
 
-def opencv_dis(frame0: Array, frame1: Array, params: FlowParams, *, trace: bool = False) -> FlowResult:
-    """Run OpenCV's DIS flow, preset medium."""
+@dataclass(frozen=True)
+class Farneback:
+    """Parameters of OpenCV's Farneback flow."""
 
-    def create(cv2: Any) -> Any:
-        return cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
-
-    return _opencv("opencv_dis", frame0, frame1, params, create)
-
-
-def opencv_farneback(frame0: Array, frame1: Array, params: FlowParams, *, trace: bool = False) -> FlowResult:
-    """Run OpenCV's Farneback flow with the defaults of its class."""
-    return _opencv("opencv_farneback", frame0, frame1, params, lambda cv2: cv2.FarnebackOpticalFlow_create())
+    n_scales: int = 5
+    window: int = 13
 
 
-def _opencv(
-    name: str, frame0: Array, frame1: Array, params: FlowParams, create: Callable[[Any], Any]
-) -> FlowResult:
+@dataclass(frozen=True)
+class SkimageTVL1:
+    """Parameters of scikit-image's TV-L1."""
+
+    attachment: float = 15.0
+    prefilter: bool = False
+
+
+@dataclass(frozen=True)
+class Ilk:
+    """Parameters of scikit-image's iterative Lucas-Kanade."""
+
+    radius: int = 7
+
+
+def _opencv_tvl1(frame0: Array, frame1: Array, params: DualTVL1) -> Array:
+    own = _cv2().optflow.DualTVL1OpticalFlow_create(
+        lambda_=params.lambda_,
+        nscales=params.n_scales,
+        scaleStep=params.scale_step,
+        medianFiltering=params.median_filter,
+    )
+    return _opencv(own, frame0, frame1)
+
+
+def _opencv_dis(frame0: Array, frame1: Array, params: Dis) -> Array:
+    cv2 = _cv2()
+    preset = getattr(cv2, f"DISOPTICAL_FLOW_PRESET_{params.preset.upper()}")
+    return _opencv(cv2.DISOpticalFlow_create(preset), frame0, frame1)
+
+
+def _opencv_farneback(frame0: Array, frame1: Array, params: Farneback) -> Array:
+    own = _cv2().FarnebackOpticalFlow_create(numLevels=params.n_scales, winSize=params.window)
+    return _opencv(own, frame0, frame1)
+
+
+def _cv2() -> Any:
     import cv2
 
-    cv2.setNumThreads(opencv_threads)
+    return cv2
+
+
+def _opencv(own: Any, frame0: Array, frame1: Array) -> Array:
+    import numpy as np
+
+    _cv2().setNumThreads(opencv_threads)
     first, second = (np.clip(np.rint(frame), 0, 255).astype(np.uint8) for frame in (frame0, frame1))
-    estimator = create(cv2)
-    started = time.perf_counter()
-    flow = estimator.calc(first, second, None)
-    seconds = time.perf_counter() - started
-    return FlowResult(np.ascontiguousarray(flow.transpose(2, 0, 1)), name, params, seconds={"solving": seconds})
+    flow: Array = own.calc(first, second, None)
+    return flow.transpose(2, 0, 1)
 
 
-def skimage_tvl1(frame0: Array, frame1: Array, params: FlowParams, *, trace: bool = False) -> FlowResult:
-    """Run scikit-image's TV-L1 with its defaults (attachment 15, no prefilter)."""
+def _skimage_tvl1(frame0: Array, frame1: Array, params: SkimageTVL1) -> Array:
     from skimage.registration import optical_flow_tvl1
 
-    return _skimage("skimage_tvl1", frame0, frame1, params, optical_flow_tvl1)
+    flow = optical_flow_tvl1(*_to_unit(frame0, frame1), attachment=params.attachment, prefilter=params.prefilter)
+    return flow[::-1]
 
 
-def skimage_tvl1_ipol(frame0: Array, frame1: Array, params: FlowParams, *, trace: bool = False) -> FlowResult:
-    """Run scikit-image's TV-L1 with IPOL's data weight and its prefilter."""
-    from skimage.registration import optical_flow_tvl1
+def _skimage_ilk(frame0: Array, frame1: Array, params: Ilk) -> Array:
+    from skimage.registration import optical_flow_ilk
 
-    return _skimage(
-        "skimage_tvl1_ipol", frame0, frame1, params, optical_flow_tvl1, attachment=IPOL_ATTACHMENT, prefilter=True
+    return optical_flow_ilk(*_to_unit(frame0, frame1), radius=params.radius)[::-1]
+
+
+def _to_unit(*frames: Array) -> tuple[Array, ...]:
+    import numpy as np
+
+    return tuple((frame / 255.0).astype(np.float32) for frame in frames)
+
+
+def _peer(
+    name: str, label: str, summary: str, estimate: Any, params: type, module: str, **defaults: Any
+) -> Method:
+    # results of these values were stored before there were parameters
+    start = {public_name(name): value for name, value in {**fields_of(params()), **defaults}.items()}
+    return Method(
+        name,
+        label,
+        summary,
+        estimate,
+        params,
+        defaults=defaults,
+        younger=start,
+        requires=(module,),
+        frame_dtype=None,
     )
 
 
-def skimage_ilk(frame0: Array, frame1: Array, params: FlowParams, *, trace: bool = False) -> FlowResult:
-    """Run scikit-image's iterative Lucas-Kanade with its defaults."""
-    from skimage.registration import optical_flow_ilk
-
-    return _skimage("skimage_ilk", frame0, frame1, params, optical_flow_ilk)
-
-
-def _skimage(
-    name: str, frame0: Array, frame1: Array, params: FlowParams, function: Callable[..., Any], **settings: Any
-) -> FlowResult:
-    first, second = ((frame / 255.0).astype(np.float32) for frame in (frame0, frame1))
-    started = time.perf_counter()
-    rows, columns = function(first, second, **settings)
-    seconds = time.perf_counter() - started
-    return FlowResult(np.stack([columns, rows]).astype(np.float32), name, params, seconds={"solving": seconds})
+PEERS = (
+    _peer("opencv_tvl1", "OpenCV DualTVL1", "OpenCV's TV-L1, defaults", _opencv_tvl1, DualTVL1, "cv2"),
+    _peer(
+        "opencv_tvl1_deep",
+        "OpenCV DualTVL1 (6 scales)",
+        "OpenCV's TV-L1, 6 scales of step 0.5: deep enough for large motions",
+        _opencv_tvl1,
+        DualTVL1,
+        "cv2",
+        n_scales=6,
+        scale_step=0.5,
+    ),
+    _peer("opencv_dis", "OpenCV DIS", "OpenCV's dense inverse search, preset medium", _opencv_dis, Dis, "cv2"),
+    _peer(
+        "opencv_farneback",
+        "OpenCV Farneback",
+        "OpenCV's Farneback flow, defaults",
+        _opencv_farneback,
+        Farneback,
+        "cv2",
+    ),
+    _peer(
+        "skimage_tvl1",
+        "scikit-image TV-L1",
+        "scikit-image's TV-L1, defaults",
+        _skimage_tvl1,
+        SkimageTVL1,
+        "skimage",
+    ),
+    _peer(
+        "skimage_tvl1_ipol",
+        "scikit-image TV-L1 (IPOL)",
+        "scikit-image's TV-L1, IPOL's weight and its prefilter",
+        _skimage_tvl1,
+        SkimageTVL1,
+        "skimage",
+        attachment=IPOL_ATTACHMENT,
+        prefilter=True,
+    ),
+    _peer(
+        "skimage_ilk",
+        "scikit-image iLK",
+        "scikit-image's iterative Lucas-Kanade, defaults",
+        _skimage_ilk,
+        Ilk,
+        "skimage",
+    ),
+)

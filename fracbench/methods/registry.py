@@ -1,4 +1,4 @@
-"""The registry of methods: name -> parameters, defaults and the place of the code.
+"""The registry of methods: ours, and those that other packages offer by entry points.
 
 The module itself imports no numerics: planning a sweep needs names and parameters only.
 """
@@ -6,13 +6,18 @@ The module itself imports no numerics: planning a sweep needs names and paramete
 from __future__ import annotations
 
 import importlib
-import importlib.util
+import logging
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from functools import lru_cache, partial
 from typing import Any
 
 from fracbench.errors import InputError, unknown_name
+from fracbench.methods import packages
+from fracbench.methods.method import Method
+from fracbench.methods.peers import PEERS
 from fracbench.model.params import FlowParams
+
+_log = logging.getLogger(__name__)
 
 # Parameters of extensions: the paper's methods do not use them, nor do the keys of their results.
 _BEYOND = frozenset({
@@ -28,135 +33,129 @@ _SMALL_STEPS = {"epsilon": 0.02, "max_iter": 300, "n_warps": 5}
 _OPTIONS = frozenset({"mask", "initial_flow"})
 _BREGMAN = frozenset(FlowParams.names()) - _BEYOND - {"alpha", "boundary", "pad", "tau"}
 
-
-@dataclass(frozen=True)
-class Method:
-    """A way to compute flow.
-
-    Attributes
-    ----------
-    name : str
-        Key in the registry.
-    label : str
-        Its name in tables and legends.
-    summary : str
-        One line.
-    home : str
-        ``"module:function"``; the function is called as ``function(frame0, frame1, params, trace=False)`` on
-        gray (H, W) arrays and the `options` asked for, and returns a `FlowResult`.
-    uses : frozenset of str
-        The parameters it depends on, by public name: no other enters the key of its results.
-    defaults : mapping
-        Parameters it starts from where they differ from `FlowParams`' own.
-    requires : tuple of str
-        Modules of other programs, which an extra installs.
-    options : frozenset of str
-        The keyword arguments of `RunOptions`, besides `trace`, that the function takes.
-    """
-
-    name: str
-    label: str
-    summary: str
-    home: str
-    uses: frozenset[str]
-    defaults: Mapping[str, Any] = field(default_factory=dict)
-    requires: tuple[str, ...] = ()
-    options: frozenset[str] = frozenset()
-
-    @property
-    def estimate(self) -> Callable[..., Any]:
-        """The function itself, imported when asked for."""
-        module, _, function = self.home.partition(":")
-        estimate: Callable[..., Any] = getattr(importlib.import_module(module), function)
-        return estimate
-
-    def require(self) -> Method:
-        """Return the method itself, if all that it needs is installed; else `InputError` says how to get it."""
-        for module in self.requires:
-            if importlib.util.find_spec(module) is None:
-                raise InputError(f"method {self.name!r} needs {module}: pip install 'fracbench[peers]'")
-        return self
-
-
 METHODS: dict[str, Method] = {}
 DEFAULT_METHOD = "tvl1_sb_alpha"
 
 
 def register(method: Method) -> Method:
-    """Add a method to the registry and return it; a later one replaces an earlier one of the same name."""
+    """Add a method to the registry of this process and return it; it replaces an earlier one of its name."""
     METHODS[method.name] = method
     return method
 
 
 def get_method(name: str) -> Method:
-    """Return a method by name.
+    """Return a method by name: ours, or that of the package whose entry point has the name.
 
     Raises
     ------
     InputError
-        Unknown name; the nearest is offered.
+        Unknown name (the nearest is offered), or a package whose method cannot be used.
     """
-    if name not in METHODS:
-        raise unknown_name("method", name, METHODS)
-    return METHODS[name]
+    if name in METHODS:
+        return METHODS[name]
+    if name in packages.offered():
+        return packages.load(name)
+    raise unknown_name("method", name, method_names())
+
+
+def method_names() -> list[str]:
+    """Return the names of all methods, sorted; no package is imported."""
+    _warn_of_taken_names()
+    return sorted({*METHODS, *packages.offered()})
+
+
+@lru_cache(maxsize=1)
+def _warn_of_taken_names() -> None:
+    for line in _taken_names():
+        _log.warning("%s", line)
+
+
+def _taken_names() -> list[str]:
+    return [packages.taken(name) for name in packages.offered() if name in METHODS]
+
+
+def all_methods() -> tuple[list[Method], list[str]]:
+    """Return all methods, ours first, and a line for each entry point that cannot be used."""
+    found, unusable = [*METHODS.values()], _taken_names()
+    for name in packages.offered():
+        if name not in METHODS:
+            try:
+                found.append(packages.load(name))
+            except InputError as exc:
+                unusable.append(str(exc))
+    return found, unusable
+
+
+def _ours(
+    name: str,
+    label: str,
+    summary: str,
+    module: str,
+    uses: frozenset[str],
+    *,
+    defaults: Mapping[str, Any] | None = None,
+    younger: Mapping[str, Any] | None = None,
+) -> Method:
+    """Return a method of this package, whose module is imported with its first call."""
+    estimate = partial(_imported, f"fracbench.methods.{module}", name)
+    return Method(
+        name,
+        label,
+        summary,
+        estimate,
+        uses=uses,
+        defaults=defaults or {},
+        younger={"finest_scale": 0, **(younger or {})},
+        options=_OPTIONS,
+        frame_dtype=None,
+    )
+
+
+def _imported(module: str, function: str, *frames: Any, **settings: Any) -> Any:
+    estimate: Callable[..., Any] = getattr(importlib.import_module(module), function)
+    return estimate(*frames, **settings)
 
 
 register(
-    Method(
+    _ours(
         "tvl1",
         "TV-L1",
         "thresholding and Chambolle's dual step (Zach et al. 2007, Sanchez et al. 2013)",
-        "fracbench.methods.paper:tvl1",
+        "paper",
         _PYRAMID | {"tau"},
-        _SMALL_STEPS,
-        options=_OPTIONS,
+        defaults=_SMALL_STEPS,
     )
 )
 register(
-    Method(
+    _ours(
         "tvl1_sb",
         "TV-L1-SB",
         "split Bregman with forward differences, no flux through the border (Algorithms 1-3)",
-        "fracbench.methods.paper:tvl1_sb",
+        "paper",
         _BREGMAN,
-        {"u_solver": "gauss_seidel", "inner": "cold", "coupling": "penalty", **_SMALL_STEPS},
-        options=_OPTIONS,
+        defaults={"u_solver": "gauss_seidel", "inner": "cold", "coupling": "penalty", **_SMALL_STEPS},
     )
 )
 register(
-    Method(
+    _ours(
         "tvl1_sb_alpha",
         "TV-L1-SB-alpha",
         "split Bregman with the fractional gradient (Algorithms 1, 2, 4)",
-        "fracbench.methods.paper:tvl1_sb_alpha",
+        "paper",
         _BREGMAN | {"alpha", "boundary", "pad"},
-        options=_OPTIONS,
     )
 )
-
-
 register(
-    Method(
+    _ours(
         "tvl1_sb_alpha_map",
         "TV-L1-SB-alpha, mapped",
         "the same with an order for each class of structure in frame 0: flat, edge, corner, texture",
-        "fracbench.methods.alpha_map:tvl1_sb_alpha_map",
+        "alpha_map",
         _BREGMAN | _BEYOND,
         # orders without weight at a pixel slow the convergence of its flow, so that more iterations are needed
-        {"n_warps": 5, "max_iter": 10},
-        options=_OPTIONS,
+        defaults={"n_warps": 5, "max_iter": 10},
+        younger={"texture": 0.0, "occlusion": "median"},
     )
 )
-
-
-def _register_peer(name: str, label: str, summary: str, module: str) -> None:
-    register(Method(name, label, summary, f"fracbench.methods.peers:{name}", frozenset(), requires=(module,)))
-
-
-_register_peer("opencv_tvl1", "OpenCV DualTVL1", "OpenCV's TV-L1, defaults", "cv2")
-_register_peer("opencv_tvl1_deep", "OpenCV DualTVL1 (6 scales)", "OpenCV's TV-L1, 6 scales of step .5", "cv2")
-_register_peer("opencv_dis", "OpenCV DIS", "OpenCV's dense inverse search, preset medium", "cv2")
-_register_peer("opencv_farneback", "OpenCV Farneback", "OpenCV's Farneback flow, defaults", "cv2")
-_register_peer("skimage_tvl1", "scikit-image TV-L1", "scikit-image's TV-L1, defaults", "skimage")
-_register_peer("skimage_tvl1_ipol", "scikit-image TV-L1 (IPOL)", "scikit-image's TV-L1, IPOL's weight", "skimage")
-_register_peer("skimage_ilk", "scikit-image iLK", "scikit-image's iterative Lucas-Kanade, defaults", "skimage")
+for _peer in PEERS:
+    register(_peer)

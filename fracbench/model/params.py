@@ -181,20 +181,21 @@ def _field_name(name: str) -> str:
 @lru_cache(maxsize=4096, typed=True)
 def _accepted(name: str, value: Any) -> Any:
     """Return the value of a field in its type, or raise an error that states the allowed values."""
-    converted = _coerce(name, FlowParams.__dataclass_fields__[name].type, value)
+    converted = coerce(name, FlowParams.__dataclass_fields__[name].type, value)
     _check_range(name, FlowParams.info(name), converted)
     return converted
 
 
-_WORDS = {bool: "true or false", int: "a whole number", float: "a number"}
+_WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
 
 
-def _coerce(name: str, hint: Any, value: Any) -> Any:
+def coerce(name: str, hint: Any, value: Any) -> Any:
+    """Convert `value` (possibly a string) to the annotated type; the error states the allowed values."""
     options = typing.get_args(hint)
-    if isinstance(hint, types.UnionType):
+    if typing.get_origin(hint) in (types.UnionType, typing.Union):
         if value is None or (isinstance(value, str) and value.lower() in ("none", "null", "auto")):
             return None
-        return _coerce(name, options[0], value)
+        return coerce(name, next(kind for kind in options if kind is not types.NoneType), value)
     if typing.get_origin(hint) is Literal:
         if value not in options:
             raise unknown_name(f"value of `{public_name(name)}`", str(value), options)
@@ -208,9 +209,9 @@ def _coerce(name: str, hint: Any, value: Any) -> Any:
 def _convert(kind: type, value: Any) -> Any:
     if kind is bool and isinstance(value, str):
         return {"true": True, "false": False}[value.lower()]
-    if isinstance(value, bool) != (kind is bool):
+    if isinstance(value, bool) != (kind is bool) or (kind is str and not isinstance(value, str)):
         raise TypeError
-    if kind is bool:
+    if kind in (bool, str):
         return value
     number = float(value)
     if not math.isfinite(number) or (kind is int and number != int(number)):

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from fracbench.harness.config.experiment import Experiment, load_experiment
 from fracbench.harness.config.paths import checkout
 from fracbench.harness.run.plan import Plan, plan_artefact, plan_experiment
-from fracbench.harness.run.store import RUNS, Row, Store
+from fracbench.harness.run.store import STORE, Row, Store
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -29,10 +29,6 @@ def homes(results: Path) -> tuple[Path, ...]:
     """Return the folders that hold tables and figures: the user's own, then the committed ones."""
     root = checkout()
     return (results,) if root is None else (results, root / COMMITTED)
-
-
-def _suffix(plan: Plan) -> str:
-    return SUFFIXES[plan.stand_in + 2 * plan.small]
 
 
 @dataclass(frozen=True)
@@ -54,7 +50,7 @@ class Source:
     @property
     def suffix(self) -> str:
         """The ending of its artefact's file names."""
-        return _suffix(self.plan)
+        return self.plan.mark
 
     @property
     def n_points(self) -> int:
@@ -76,6 +72,7 @@ class Sources:
     """The experiments of the project and of the working folder, as stored in a results folder.
 
     `settings` override all grids (data set, paths), `small` thins them; `plans` holds the plans already made.
+    Experiments that are not in `only` are shown without points.
     """
 
     def __init__(
@@ -84,24 +81,29 @@ class Sources:
         settings: Sequence[str] = (),
         small: bool = False,
         plans: Mapping[str, Plan] | None = None,
+        only: Sequence[str] | None = None,
     ) -> None:
         self.results = results
         self.settings = tuple(settings)
         self.small = small
         self._data = plan_experiment({}, self.settings, allow_download=False, small=small)
         self.stand_in = self._data.stand_in  # scenes take the place of Middlebury
-        self.suffix = _suffix(self._data)
+        self.dataset = self._data.dataset
+        self.suffix = self._data.mark
         self._plans = plans or {}
+        self._only = only
         self._found: dict[str, Source] = {}
 
     def get(self, name: str) -> Source:
         """Return an experiment with its rows."""
+        if self._only is not None and name not in self._only:
+            return self.outline(name)
         if name not in self._found:
             experiment = load_experiment(name)
             plan = self._plans.get(name)
             if plan is None:
                 plan = plan_artefact(experiment, self.settings, allow_download=False, small=self.small)
-            with Store(self.results / RUNS / "store.sqlite", readonly=True) as store:
+            with Store(self.results / STORE, readonly=True) as store:
                 rows = store.get_many(plan.unique())
             self._found[name] = Source(experiment, plan, rows, self.command(name))
         return self._found[name]

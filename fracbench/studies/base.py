@@ -38,8 +38,8 @@ Renderer = Callable[[Experiment, Plan, Mapping[str, Row], Path], Artefact]
 
 
 def file_stem(name: str, plan: Plan, folder: Path) -> Path:
-    """Make the folder and return a path in it, no suffix; the name marks synthetic scenes and thinned grids."""
-    return ensure_folder(folder) / f"{name}{'_synthetic' if plan.stand_in else ''}{'_small' if plan.small else ''}"
+    """Make the folder and return a path in it, no suffix; the name marks other data, and thinned grids."""
+    return ensure_folder(folder) / f"{name}{plan.mark}"
 
 
 def best_values(table: pd.DataFrame, names: list[str], numbers: list[str]) -> pd.DataFrame:

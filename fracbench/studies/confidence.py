@@ -65,7 +65,7 @@ def errors_left(point: Point, folder: Path | None) -> dict[str, Any]:
     from fracbench.model.confidence import check_backward
 
     frame0, frame1, truth, inner = point_arrays(point, folder)
-    estimate, dropped = get_method(point.method).estimate, dict(point.options)["dropped"]
+    estimate, dropped = get_method(point.method).compute, dict(point.options)["dropped"]
     flow, back = (estimate(*pair, point.params).flow for pair in ((frame0, frame1), (frame1, frame0)))
     check = check_backward(flow, back)
     errors = endpoint_error(flow, truth)[inner]

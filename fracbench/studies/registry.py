@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from fracbench.errors import unknown_name
+from fracbench.errors import InputError, unknown_name
 from fracbench.harness.config.experiment import Experiment
 from fracbench.harness.run.plan import Plan
 from fracbench.harness.run.store import Row
@@ -42,11 +42,16 @@ RENDERERS: dict[str, Renderer] = {
 }
 
 
-def require_renderer(experiment: Experiment) -> Renderer:
-    """Return the renderer that an experiment names; refuse an unknown one, and options that it does not have."""
+def require_renderer(experiment: Experiment, plan: Plan | None = None) -> Renderer:
+    """Return the renderer that an experiment names; refuse an unknown one, and options that it does not have.
+
+    If a plan is given, refuse regions as well that its dataset does not have.
+    """
     if experiment.artefact not in RENDERERS:
         raise unknown_name("artefact", experiment.artefact, RENDERERS, f"experiment {experiment.name}")
     require_options(experiment)
+    if plan is not None and plan.foreign and "regions" in experiment.options:
+        raise InputError(f"{experiment.name}: regions belong to Middlebury; dataset={plan.dataset} has none")
     return RENDERERS[experiment.artefact]
 
 

@@ -10,13 +10,16 @@ import numpy as np
 
 from fracbench.harness.config.experiment import Experiment
 from fracbench.harness.run.plan import Plan
-from fracbench.harness.run.store import Row
+from fracbench.harness.run.store import RUNS, Row
 from fracbench.harness.run.tidy import METRICS, tidy
 from fracbench.studies import tables
 from fracbench.studies.base import Artefact, best_values, file_stem
 
 if TYPE_CHECKING:
     import pandas as pd
+
+#: Pictures of flows in a sweep over pairs without true flow, at most.
+MOST_FLOWS = 24
 
 
 def sweep(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
@@ -26,14 +29,19 @@ def sweep(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: 
     artefact = Artefact()
     names, numbers = split_varying(table, plan)
     done = table[table["status"] == "done"]
-    if numbers and len(done):
+    unknown = bool((done["n_pixels"] == 0).all())  # the true flow; also where nothing is done
+    if numbers and not unknown:
         best = best_values(done, names, numbers)
         artefact.views.append((f"Best {', '.join(numbers)} (smaller errors are better)", best))
     else:
-        shown = table[[*names, *numbers, *METRICS, "status"]]
+        more = [column for column in ("aepe_matched", "aepe_unmatched", "fl_all") if column in table.columns]
+        shown = table[[*names, *numbers, *METRICS, *more, "status"]]
         artefact.views.append((experiment.title, tables.rounded(shown)))
+    artefact.files += _flows(plan, table, [*names, *numbers], results, stem)
     figure = _sweep_figure(experiment.title, table, names, numbers)
-    if figure is None:
+    if unknown and len(done):
+        artefact.lines.append("no errors: the true flow is not known")
+    elif figure is None:
         artefact.lines.append("no plot: it takes one or two swept numbers, e.g. alpha=0:2:0.1")
     else:
         from fracbench.figures.style import save_figure
@@ -43,6 +51,31 @@ def sweep(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: 
             artefact.lines.append(f"not drawn: points that do not depend on {' and '.join(numbers)}")
     artefact.files.insert(0, tables.write_table(table, stem))
     return artefact
+
+
+def _flows(plan: Plan, table: pd.DataFrame, varying: list[str], results: Path, stem: Path) -> list[Path]:
+    """Draw the flows of pairs whose true flow is not known; they are computed once more, and kept."""
+    from fracbench.data.files import ensure_folder, read_flow
+    from fracbench.figures.cache import draw
+    from fracbench.figures.flowcolor import fastest, flow_to_color
+    from fracbench.figures.pictures import frame_panel
+    from fracbench.harness.run.flows import flow_file, keep_flow
+    from fracbench.harness.run.pool import parallel_map
+
+    unknown = table[(table["status"] == "done") & (table["n_pixels"] == 0)].drop_duplicates("key").head(MOST_FLOWS)
+    if unknown.empty:
+        return []
+    folder, points = ensure_folder(results / RUNS / "flows").resolve(), plan.unique()
+    wanted = {key: flow_file(points[key], folder) for key in unknown["key"]}
+    todo = [(points[key], plan.folder, path) for key, path in wanted.items() if not path.is_file()]
+    for _ in parallel_map(keep_flow, todo, plan.config.parallel.jobs, "the flows that are finished are kept"):
+        pass
+    titles = unknown[varying or ["sequence"]].astype(str).agg("\n".join, axis=1)
+    flows = [read_flow(path) for path in wanted.values()]
+    speed = max(map(fastest, flows)) or 1.0  # one scale for all
+    items = [(title, flow_to_color(flow, speed)) for title, flow in zip(titles, flows, strict=True)]
+    title = f"Flows in Middlebury's colours; the fullest stand for {speed:.3g} px"
+    return draw(stem.with_name(f"{stem.name}__flows"), frame_panel, items, title=title)
 
 
 def split_varying(table: pd.DataFrame, plan: Plan) -> tuple[list[str], list[str]]:

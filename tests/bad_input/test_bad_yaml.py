@@ -192,6 +192,55 @@ def test_nothing_in_a_configuration_runs_code(own_conf, work, refused, file, old
     assert "boom" not in sys.modules and not (work / "TRACE").exists()
 
 
+#: File of conf/ in the working folder, what is in it, what is said.
+WORKING_FOLDER = [
+    ("protocol/accurate.yaml", "protocol: accurate", "the name is that of one of fracbench's own protocols"),
+    ("sequence/grove2.yaml", "sequence: {name: edge, dataset: synthetic}", "one of fracbench's own sequences"),
+    ("region/none.yaml", "region: null\n#", "one of fracbench's own regions; choose another"),
+    ("parallel/dask.yaml", "parallel: {jobs: 9}", "one of fracbench's own parallels"),
+    ("protocol/own.yaml", "protocol: reference", "the file own.yaml must give the same name, not 'reference'"),
+    ("region/own.yaml", OWN.replace("own", "grove2_A") + "grove2, rows: [0, 9], cols: [0, 9]}", "not 'grove2_A'"),
+    ("protocol/own.yaml", "protocol: own\nparams: {alhpa: 1}", "'alhpa': did you mean 'alpha'?"),
+    ("protocol/own.yaml", "protocol: own\nparams: {alpha: '${oc.env:HOME}'}", "'${oc.env:HOME}' is not allowed"),
+    ("protocol/own.yaml", "protocol: own\nparams: {alpha: '${${x}:HOME}'}", "'${${x}:HOME}' is not allowed"),
+    ("protocol/own.yaml", "protocol: own\nparams: {_target_: boom.go}", "'_target_' is not allowed"),
+    ("protocol/own.yaml", "hydra: {searchpath: ['pkg://boom']}", "'hydra' is not allowed"),
+    ("protocol/own.yaml", "defaults: [{override hydra/launcher: boom}]", "'hydra/launcher' is not allowed"),
+    ("protocol/own.yaml", "defaults: [{/model: net}]", "`defaults` may hold override /protocol"),
+    ("protocol/own.yaml", "defaults: [net]", "`defaults` may hold override /protocol"),
+    ("protocol/own.yaml", "defaults: [{override /sequence: ../../x}]", "must be a name of letters"),
+    ("protocol/own.yaml", "defaults: [{override /sequence: grve2}]", "grve2"),
+    ("protocol/own.yaml", "defaults: 3", "`defaults` must be a list, got 3"),
+    ("protocol/own.yaml", "params: !!python/object/apply:boom.go []", "could not determine a constructor"),
+    ("protocol/own.yaml", "x: [", "own.yaml: cannot be read as YAML"),
+    ("protocol/own.yaml", "- 1", "own.yaml: must be a mapping"),
+    ("protocol/own.yaml", "a: &a [1]\nb: *a", "aliases"),
+    ("protocol/own.yaml", "# " + 1_000_001 * "x", "bytes, more than the 1000000 of a configuration"),
+    ("protocol/deep/own.yaml", "protocol: own", "a configuration has no folders within"),
+    ("protocol/.own.yaml", "protocol: own", "its name must be a name of letters"),
+    ("protocol/-own.yaml", "protocol: own", "its name must be a name of letters"),
+]
+
+
+@pytest.mark.parametrize(("file", "text", "named"), WORKING_FOLDER)
+def test_files_of_the_working_folder_that_cannot_be_used(work, monkeypatch, refused, file, text, named):
+    (work / "boom.py").write_text("import pathlib\ndef go(): pass\npathlib.Path('TRACE').touch()\n")
+    monkeypatch.syspath_prepend(str(work))
+    path = work / "conf" / file
+    path.parent.mkdir(parents=True)
+    path.write_text(f"# @package _global_\n{text}\n")
+    choice = ["region=own"] if file == "region/own.yaml" else ["protocol=own"]
+    refused(work, ["sweep", *SCENE, *(choice if path.stem == "own" and "deep" not in file else [])], named)
+    assert "boom" not in sys.modules and not (work / "TRACE").exists()
+
+
+@pytest.mark.parametrize("make", [Path.mkdir, lambda path: path.symlink_to("nothing_of_the_kind")])
+def test_a_file_of_the_working_folder_that_is_none(work, refused, make):
+    (work / "conf" / "protocol").mkdir(parents=True)
+    make(work / "conf" / "protocol" / "own.yaml")
+    refused(work, ["sweep", *SCENE], "own.yaml: cannot be read")
+
+
 def test_the_trap_of_the_test_before_works(own_conf, work):
     """Hydra itself would import the package."""
     from hydra import compose, initialize_config_dir

@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 
 import common
+import elimination
 import growth
 import jobs
 import numpy as np
@@ -63,6 +64,16 @@ def test_jobs_compare_whole_sweeps(tmp_path):
     row = pd.read_csv(tmp_path / "runs" / "bench" / "jobs_2.csv").iloc[0]
     assert (row["points"], row["jobs"]) == (3, 2) and row["overhead_ms"] > 0
     assert row["speed_up"] == pytest.approx(row["seconds_1"] / row["seconds_n"])
+
+
+def test_elimination_and_products_take_turns(tmp_path):
+    sweep = ["sequence=synthetic_corner", "alpha=1,1.2", "boundary=zero", "method=tvl1_sb_alpha", "max_iter=2"]
+    before = dict(vars(elimination.ZeroGradient))
+    assert elimination.main([*sweep, "--repeats", "1", f"paths.results={tmp_path}"]) == 0
+    table = pd.read_csv(tmp_path / "runs" / "bench" / "elimination.csv")
+    assert list(table["alpha"]) == ["1.0", "1.2", "all"]
+    assert (table[["elimination", "products"]] > 0.0).to_numpy().all()
+    assert dict(vars(elimination.ZeroGradient)) == before  # nothing stays replaced
 
 
 def test_the_texture_moves_as_it_says():

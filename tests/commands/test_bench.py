@@ -37,7 +37,7 @@ def test_a_contender_may_bring_a_protocol(monkeypatch):
         seen.append({name: canonical_value(value) for name, value in params.as_dict().items() if name in preset})
         return SimpleNamespace(flow=np.zeros((2, *frame0.shape)))
 
-    monkeypatch.setattr(measure, "get_method", lambda name: SimpleNamespace(estimate=estimate))
+    monkeypatch.setattr(measure, "get_method", lambda name: SimpleNamespace(compute=estimate))
     measure.run([measure.Contender("a", "any", protocol="accurate")], [SCENE], repeats=1, threads=1, on_lap=list)
     assert seen == [preset, preset]
 

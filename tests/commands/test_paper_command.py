@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import re
 
+import numpy as np
 import pandas as pd
 import pytest
 
 from fracbench.commands import paper as reproduce
+from fracbench.data.files import write_image
 from fracbench.harness.run import sweep
 from fracbench.harness.run.message import Outcome
 from fracbench.report.page import beyond, html
@@ -92,8 +94,12 @@ def test_a_process_that_dies_while_it_draws_is_one_line(paper, cli, monkeypatch)
 
 def test_data_that_cannot_be_had_are_looked_for_once(paper, cli, no_middlebury, monkeypatch):
     asked = []
-    plan = reproduce.plan_experiment
-    monkeypatch.setattr(reproduce, "plan_experiment", lambda *a, **k: asked.append(list(a[1])) or plan(*a, **k))
+
+    def noting(plan):
+        return lambda *a, **k: asked.append(list(a[1])) or plan(*a, **k)
+
+    for name in ("plan_experiment", "plan_artefact"):
+        monkeypatch.setattr(reproduce, name, noting(getattr(reproduce, name)))
     done = cli("report", "--dry-run", "paths.results=out")
     assert asked == [["paths.results=out"], *[["paths.results=out", "dataset=synthetic"]] * 2]
     assert done.out.startswith("6 points, 0 stored, 6 to compute")
@@ -107,6 +113,19 @@ def test_beyond_the_paper_its_own_experiments_are_run_and_no_claim_is_judged(pap
     lines = done.out.splitlines()
     assert lines == ["3 points, 3 computed", "two: 3 points, wrote 3 files in out/sweeps", "wrote out/page.html"]
     assert not (paper / "out/tables").exists()
+
+
+def test_chosen_experiments_run_on_the_pairs_of_another_dataset(paper, cli):
+    for name in ("a", "b"):
+        (paper / "pairs" / name).mkdir(parents=True)
+        for k in range(2):
+            write_image(paper / "pairs" / name / f"frame{k}.png", np.eye(24, dtype=np.uint8) * 255)
+    done = cli("report", "--only", "two", "dataset=folder", "paths.data=pairs", "paths.results=out")
+    assert done.code == 0
+    lines = done.out.splitlines()
+    assert lines == ["6 points, 6 computed", "two: 6 points, wrote 3 files in out/sweeps", "wrote out/page.html"]
+    assert len(list((paper / "out/sweeps").glob("two__folder*"))) == 3
+    assert not (paper / "out/tables").exists()  # no claim is judged
 
 
 def test_the_experiments_beyond_the_paper_are_not_the_papers():

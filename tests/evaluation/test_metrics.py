@@ -18,6 +18,7 @@ from fracbench.evaluation.metrics import (
     angular_error,
     endpoint_error,
     flow_errors,
+    outliers,
     robustness,
 )
 
@@ -225,3 +226,19 @@ def test_the_zero_flow_on_middlebury(middlebury, name):
     errors = flow_errors(np.zeros_like(truth), truth)
     assert (errors.aae, errors.aepe) == pytest.approx(ZERO_FLOW[name], abs=6e-5)
     assert errors.n_pixels + errors.n_unknown == truth[0].size
+
+
+class TestOutliers:
+    def test_an_outlier_is_above_3_pixels_and_above_5_per_cent_of_the_true_flow(self):
+        truth = flow_of((100, 0), (10, 0), (10, 0), (0, 0), (70, 0), (NAN, NAN))
+        flow = flow_of((104, 0), (13, 0), (13.5, 0), (0, 3.25), (66.4, 0), (0, 0))
+        # 4 % of 100 px; exactly 3 px; 3.5 px of 10; 3.25 px of 0; 3.6 px, above 5 % of 70; unknown
+        assert outliers(flow, truth) == pytest.approx(100 * 3 / 5)
+
+    def test_a_missing_estimate_is_an_outlier(self):
+        found = outliers(flow_of((NAN, 0), (INF, 0), (1, 0)), flow_of((1, 0), (1, 0), (1, 0)))
+        assert found == pytest.approx(200 / 3)
+
+    def test_nothing_known_has_no_share(self):
+        with pytest.raises(InputError, match="no pixel to score"):
+            outliers(flow_of((1, 0)), flow_of((NAN, 0)))

@@ -1,12 +1,17 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
+import textwrap
+import types
 
 import numpy as np
 import pytest
 import reference_impl as ref
 
+from fracbench import estimate_flow
 from fracbench.errors import InputError
+from fracbench.harness.config.paths import checkout
 from fracbench.methods.registry import METHODS, get_method, register
 from fracbench.model.params import FlowParams
 
@@ -75,9 +80,9 @@ def test_the_papers_methods_are_registered():
     for name, method in METHODS.items():
         assert method.name == name
         assert method.summary and "\n" not in method.summary
-        assert method.uses <= set(FlowParams.names())
+        assert method.uses <= set(method.names)
         assert set(method.defaults) <= method.uses
-        FlowParams().replace(method.defaults)
+        assert method.values(method.start()).keys() == method.uses
 
 
 def test_every_parameter_is_varied_here():
@@ -121,3 +126,18 @@ def test_a_registered_method_is_found_and_may_be_replaced(monkeypatch):
     better = register(dataclasses.replace(mine, summary="better"))
     assert get_method("mine") is better
     assert "mine" not in METHODS
+
+
+def test_the_recipe_of_a_method_works(monkeypatch):
+    root = checkout()
+    if root is None:
+        pytest.skip("the recipe is that of a checkout")
+    recipe = (root / "CONTRIBUTING.md").read_text(encoding="utf-8").partition("## Add a method")[2]
+    module = types.ModuleType("my_method")
+    monkeypatch.setitem(sys.modules, "my_method", module)
+    exec(textwrap.dedent(recipe.partition("   ```python\n")[2].partition("   ```")[0]), vars(module))
+    monkeypatch.setattr("fracbench.methods.registry.METHODS", dict(METHODS))
+    register(module.METHOD)
+    result = estimate_flow(np.zeros((9, 9)), np.ones((9, 9)), method="right", pixels="2")
+    assert (result.method, result.params) == ("right", module.Params(2.0))
+    assert (result.flow[0] == 2).all() and not result.flow[1].any()

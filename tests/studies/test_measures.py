@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import pkgutil
+from types import SimpleNamespace
 
 import pytest
 
 from fracbench.commands.cli import main
-from fracbench.errors import FracbenchError
+from fracbench.errors import FracbenchError, InputError
 from fracbench.harness.config.experiment import load_experiment
-from fracbench.harness.run import compute_point, point, sweep
+from fracbench.harness.run import compute_point, dask, point, sweep
 from fracbench.harness.run.plan import make_plan, plan_artefact
 from fracbench.harness.run.store import STORE, Store
 from fracbench.harness.run.tidy import tidy
@@ -114,6 +115,18 @@ def test_a_refusal_of_a_measure_is_the_text_of_its_row(monkeypatch):
     monkeypatch.setattr("fracbench.studies.alpha_map.oracle._refuse", refuse, raising=False)
     outcome = compute_point.run_point(dataclasses.replace(planned.point, score="oracle"), None)
     assert (outcome.status, outcome.error) == ("failed", "not today")
+
+
+def test_a_spectrum_needs_no_data_on_a_cluster(small):
+    measured = [each.point for each in plan_artefact(small, SCENES).points if each.point.score == "spectrum"]
+    assert dask._files(SimpleNamespace(point=measured[0], folder=None)) == {}
+
+
+@pytest.mark.parametrize("step", [0, -1])
+def test_a_step_that_leads_nowhere_is_refused(small, step):
+    broken = dataclasses.replace(small, options={**small.options, "alpha_step": step})
+    with pytest.raises(InputError, match="experiment small: option 'alpha_step' must be above 0"):
+        plan_artefact(broken, SCENES)
 
 
 def test_every_measure_has_a_place():

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import fracbench
 from fracbench.data.datasets.base import Dataset
+from fracbench.data.read_once import read_once, sha256
 from fracbench.errors import DataError, InputError, match_name
 
 if TYPE_CHECKING:
@@ -180,38 +181,45 @@ def _locate(folder: Path, source: str) -> Location:
 def state(sequence: str, folder: str | Path) -> SequenceState:
     """Compare the three files of a sequence with their SHA-256."""
     sequence = match_name(sequence, SEQUENCES, "Middlebury sequence")
-    files = tuple(_inspect(f"{sequence}/{file}", folder)[0] for file in _FRAMES_AND_TRUTH)
+    files = tuple(_inspect(f"{sequence}/{file}", folder) for file in _FRAMES_AND_TRUTH)
     severity: tuple[State, ...] = ("ok", "missing", "corrupt", "unreadable")
     return SequenceState(sequence, max((f.state for f in files), key=severity.index), files)
 
 
-def _inspect(name: str, folder: str | Path) -> tuple[FileState, bytes]:
-    """Return the state of a registered file, and its content as it was hashed."""
+def _inspect(name: str, folder: str | Path, hashed: Callable[[Path], str] = sha256) -> FileState:
+    """Return the state of a registered file."""
     path, expected = Path(folder) / name, REGISTRY[name]
     try:
-        data = path.read_bytes()
+        actual = hashed(path)
     except (FileNotFoundError, NotADirectoryError):
-        return FileState(path, "missing", expected), b""
+        return FileState(path, "missing", expected)
     except OSError as exc:
-        return FileState(path, "unreadable", expected, reason=exc.strerror or str(exc)), b""
-    actual = hashlib.sha256(data).hexdigest()
-    return FileState(path, "ok" if actual == expected else "corrupt", expected, actual), data
+        return FileState(path, "unreadable", expected, reason=exc.strerror or str(exc))
+    return FileState(path, "ok" if actual == expected else "corrupt", expected, actual)
 
 
-def _verified(sequence: str, folder: str | Path) -> tuple[dict[str, bytes], str]:
-    """Return the three files of a sequence, each checked against its SHA-256, and the digest of them all."""
-    sequence, content = match_name(sequence, SEQUENCES, "Middlebury sequence"), {}
+def contents(sequence: str, folder: str | Path) -> dict[str, bytes]:
+    """Return the three files of a sequence by path below the folder, each as it was verified."""
+    content: dict[str, bytes] = {}
+
+    def hashed(path: Path) -> str:
+        data, actual = read_once(path)
+        content[f"{path.parent.name}/{path.name}"] = data
+        return actual
+
+    digest(sequence, folder, hashed)
+    return content
+
+
+def digest(sequence: str, folder: str | Path, hashed: Callable[[Path], str] = sha256) -> str:
+    """Verify the files of a sequence and return its digest, without decoding anything."""
+    sequence, lines = match_name(sequence, SEQUENCES, "Middlebury sequence"), []
     for file in _FRAMES_AND_TRUTH:
-        found, content[file] = _inspect(f"{sequence}/{file}", folder)
+        found = _inspect(f"{sequence}/{file}", folder, hashed)
         if found.state != "ok":
             raise DataError(f"Middlebury file {found.message}")
-    lines = ("middlebury", sequence, *(f"{file} {REGISTRY[f'{sequence}/{file}']}" for file in content))
-    return content, hashlib.sha256("\n".join(lines).encode()).hexdigest()
-
-
-def digest(sequence: str, folder: str | Path) -> str:
-    """Verify the files of a sequence and return its digest, without decoding anything."""
-    return _verified(sequence, folder)[1]
+        lines.append(f"{file} {found.expected}")
+    return hashlib.sha256("\n".join(("middlebury", sequence, *lines)).encode()).hexdigest()
 
 
 def load(sequence: str, folder: str | Path) -> FramePair:
@@ -221,7 +229,7 @@ def load(sequence: str, folder: str | Path) -> FramePair:
     from fracbench.data.pair import FramePair
 
     sequence = match_name(sequence, SEQUENCES, "Middlebury sequence")
-    content, identity = _verified(sequence, folder)
+    content = {Path(path).name: data for path, data in contents(sequence, folder).items()}
     frame0, frame1 = (decode_image(content[file], f"{sequence}/{file}") for file in _FRAMES_AND_TRUTH[:2])
     return FramePair(
         name=sequence,
@@ -229,7 +237,7 @@ def load(sequence: str, folder: str | Path) -> FramePair:
         frame0=to_gray(frame0).astype(float),
         frame1=to_gray(frame1).astype(float),
         truth=decode_flo(content["flow10.flo"], f"{sequence}/flow10.flo"),
-        digest=identity,
+        digest=digest(sequence, folder),
         frame0_color=frame0,
     )
 
@@ -243,7 +251,7 @@ def download(folder: str | Path, base_url: str = BASE_URL, timeout: float = 5.0)
         members = {
             f"{inside}/{name}": (Path(folder) / name, sha256)
             for name, sha256 in REGISTRY.items()
-            if name.endswith(suffix) and _inspect(name, folder)[0].state != "ok"
+            if name.endswith(suffix) and _inspect(name, folder).state != "ok"
         }
         if members:
             from fracbench.data.download import fetch_members
@@ -282,9 +290,13 @@ def _folder(given: Path | None) -> Path:
 
 
 DATASET = Dataset(
-    "middlebury",
-    {name: SIZES[name] for name in SEQUENCES},
+    name="middlebury",
+    summary="the 8 sequences with public ground truth, frames 10 and 11",
+    names=lambda folder: SEQUENCES,
+    shape=lambda name, folder: SIZES[name],
     load=lambda name, folder, *, noise, seed: load(name, _folder(folder)),
     digest=lambda name, folder, *, noise, seed: digest(name, _folder(folder)),
-    contents=lambda name, folder: _verified(name, _folder(folder))[0],
+    find=lambda given: find(given).folder,
+    contents=lambda name, folder: contents(name, _folder(folder)),
+    outliers=False,  # no column of the paper's tables
 )

@@ -1,39 +1,157 @@
-"""The datasets by name, and their pairs."""
+"""The datasets by name: the project's own, and those of installed packages.
+
+A package registers a dataset by an entry point of the group ``fracbench.datasets``, whose name is the dataset's
+and whose value is a `Dataset`. It is imported when it is asked for.
+"""
 
 from __future__ import annotations
 
+import importlib
+import sys
+from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from fracbench.data.datasets import middlebury
 from fracbench.data.datasets.base import Dataset
-from fracbench.data.datasets.synthetic import scenes
 from fracbench.data.pair import FramePair
-from fracbench.errors import match_name
+from fracbench.errors import FracbenchError, InputError, match_name
 
-DATASETS = {dataset.name: dataset for dataset in (middlebury.DATASET, scenes.DATASET)}
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
+GROUP = "fracbench.datasets"
 #: Takes Middlebury where it can be had, else the rendered scenes.
 AUTO = "auto"
+_HERE = "fracbench.data.datasets"
+_OWN = {
+    "middlebury": f"{_HERE}.middlebury:DATASET",
+    "synthetic": f"{_HERE}.synthetic.scenes:DATASET",
+    "folder": f"{_HERE}.folder:DATASET",
+    "sintel": f"{_HERE}.sintel:DATASET",
+    "kitti2012": f"{_HERE}.kitti:KITTI2012",
+    "kitti2015": f"{_HERE}.kitti:KITTI2015",
+}
+_loaded: dict[str, Dataset] = {}
+
+
+@lru_cache(maxsize=1)
+def _offered(_: tuple[str, ...]) -> dict[str, tuple[EntryPoint, ...]]:
+    """Return the entry points by the name of their dataset; a name should have one."""
+    from importlib.metadata import entry_points  # which takes a third of the time of `fracbench --help`
+
+    found: dict[str, tuple[EntryPoint, ...]] = {}
+    for entry in set(entry_points(group=GROUP)):
+        found[entry.name] = (*found.get(entry.name, ()), entry)
+    return dict(sorted(found.items()))
+
+
+def _others() -> dict[str, tuple[EntryPoint, ...]]:
+    return _offered(tuple(sys.path))
+
+
+def _package(entry: EntryPoint) -> str:
+    return f"{entry.dist.name} {entry.dist.version}" if entry.dist else "an unknown package"
+
+
+def dataset_names() -> tuple[str, ...]:
+    """Return the names of all datasets, the project's own first; none is imported."""
+    return (*_OWN, *(name for name in _others() if name not in (*_OWN, AUTO)))
 
 
 def get_dataset(name: str) -> Dataset:
-    """Return a dataset by its name, without regard to case; for an unknown one the nearest is offered."""
-    return DATASETS[match_name(name, DATASETS, "dataset")]
+    """Return a dataset by its name, without regard to case.
+
+    Raises
+    ------
+    InputError
+        Unknown name, with the nearest; a package that cannot be imported or offers something else.
+    """
+    name = match_name(name, _OWN if name.casefold() in _OWN else dataset_names(), "dataset")
+    if name not in _loaded:
+        _loaded[name] = _own(name) if name in _OWN else _of_package(name)
+    return _loaded[name]
 
 
-def list_sequences(dataset: str) -> tuple[str, ...]:
+def _own(name: str) -> Dataset:
+    module, _, attribute = _OWN[name].partition(":")
+    dataset: Dataset = getattr(importlib.import_module(module), attribute)
+    return dataset
+
+
+def _of_package(name: str) -> Dataset:
+    entries = _others()[name]
+    if len(entries) > 1:
+        packages = " and ".join(sorted(map(_package, entries)))
+        raise InputError(f"entry point {name!r}: {packages} offer the same dataset; uninstall one")
+    (entry,) = entries
+    place = f"entry point {name!r} of {_package(entry)}"
+    try:
+        found = entry.load()
+    except (Exception, SystemExit) as exc:
+        raise InputError(f"{place}: {entry.value} cannot be loaded: {_reason(exc)}") from exc
+    if not isinstance(found, Dataset):
+        raise InputError(f"{place}: {entry.value} is of type {type(found).__name__}, not a fracbench.Dataset")
+    if found.name != name:
+        raise InputError(f"{place}: the dataset is called {found.name!r}; give the entry point the same name")
+    return found
+
+
+def all_datasets() -> tuple[list[Dataset], list[str]]:
+    """Return all datasets, the project's own first, and a line for each entry point that cannot be used."""
+    found = [get_dataset(name) for name in _OWN]
+    unusable = []
+    for name, entries in _others().items():
+        if name in (*_OWN, AUTO):
+            packages = " and ".join(sorted(map(_package, entries)))
+            unusable.append(
+                f"entry point {name!r} of {packages}: fracbench has a dataset of this name, which is used"
+            )
+            continue
+        try:
+            found.append(get_dataset(name))
+        except InputError as exc:
+            unusable.append(str(exc))
+    return found, unusable
+
+
+def find_folder(dataset: str, given: str | Path | None = None) -> Path | None:
+    """Return the folder of a dataset's files, from ``paths.data`` or the usual places; None if it has none."""
+    find = get_dataset(dataset).find
+    return None if find is None else _ask(dataset, "find", find, given)
+
+
+def list_sequences(dataset: str, folder: Path | None = None) -> tuple[str, ...]:
     """Return the names of the pairs of a dataset, in the order of tables."""
-    return tuple(get_dataset(dataset).shapes)
+    names = tuple(_ask(dataset, "names", get_dataset(dataset).names, folder))
+    if not names:
+        raise InputError(f"dataset {dataset}: has no pairs")
+    return names
 
 
-def _named(name: str, dataset: str) -> tuple[Dataset, str]:
-    found = get_dataset(dataset)
-    return found, match_name(name, found.shapes, f"{found.name} sequence")
+def match_sequence(name: str, dataset: str, folder: Path | None = None) -> str:
+    """Return the exact name of a pair, which is given without regard to case; for an unknown one the nearest."""
+    names = list_sequences(dataset, folder)
+    return name if name in names else match_name(name, names, f"{get_dataset(dataset).name} sequence")
 
 
-def shape_of(name: str, dataset: str) -> tuple[int, int]:
-    """Return height and width of a pair in pixels, without loading it."""
-    found, name = _named(name, dataset)
-    return found.shapes[name]
+def is_fixed(dataset: str) -> bool:
+    """Tell whether the names and shapes of a dataset's pairs are the same in every folder."""
+    return dataset == "middlebury" or get_dataset(dataset).find is None
+
+
+def shape_of(name: str, dataset: str, folder: Path | None = None) -> tuple[int, int]:
+    """Return height and width of a pair in pixels, by its exact name and without decoding it."""
+    height, width = _ask(dataset, "shape", get_dataset(dataset).shape, name, folder)
+    return int(height), int(width)
+
+
+def digest_of(name: str, dataset: str, folder: Path | None = None, *, noise: float = 0.0, seed: int = 0) -> str:
+    """Return the SHA-256 that identifies a pair, by its exact name."""
+    digest = _ask(dataset, "digest", get_dataset(dataset).digest, name, folder, noise=noise, seed=seed)
+    if not isinstance(digest, str):
+        raise InputError(f"dataset {dataset}: the digest of {name!r} is no text but {type(digest).__name__}")
+    return digest
 
 
 def load_sequence(
@@ -44,7 +162,7 @@ def load_sequence(
     Parameters
     ----------
     name, dataset : str
-        The pair and one of `DATASETS`, without regard to case.
+        The pair and its dataset, without regard to case.
     folder : Path, optional
         Where the files are; looked up if not given.
     noise, seed : float and int, optional
@@ -55,5 +173,22 @@ def load_sequence(
     InputError
         Unknown pair or dataset; a DataError if the files are missing, corrupt or unreadable.
     """
-    found, name = _named(name, dataset)
-    return found.load(name, folder, noise=noise, seed=seed)
+    load = get_dataset(dataset).load
+    pair = _ask(dataset, "load", load, match_sequence(name, dataset, folder), folder, noise=noise, seed=seed)
+    if not isinstance(pair, FramePair):
+        raise InputError(f"dataset {dataset}: {name!r} was loaded as {type(pair).__name__}, not as FramePair")
+    return pair
+
+
+def _ask(dataset: str, what: str, function: Callable[..., Any], *args: Any, **more: Any) -> Any:
+    """Call a function of a dataset, which may be of another package; whatever it raises becomes one line."""
+    try:
+        return function(*args, **more)
+    except FracbenchError:
+        raise
+    except Exception as exc:
+        raise InputError(f"dataset {dataset}: `{what}` failed: {_reason(exc)}") from exc
+
+
+def _reason(exc: BaseException) -> str:
+    return " ".join(f"{type(exc).__name__}: {exc}".split())

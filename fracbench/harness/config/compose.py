@@ -9,19 +9,21 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from fracbench.data.datasets.registry import AUTO, DATASETS, shape_of
+from fracbench.data.datasets.registry import AUTO, dataset_names, get_dataset, is_fixed, match_sequence, shape_of
 from fracbench.data.regions import Region, require_inside
 from fracbench.errors import InputError, unknown_name
+from fracbench.harness.config import working_folder
 from fracbench.harness.config.composition_cache import cached_composition
 from fracbench.harness.config.paths import asset
 from fracbench.harness.config.records import mapping, record, refuse_code, require_name
-from fracbench.methods.registry import DEFAULT_METHOD, METHODS, Method, get_method
+from fracbench.methods.method import Method
+from fracbench.methods.registry import DEFAULT_METHOD, get_method, method_names
 from fracbench.model.params import FlowParams
 
 GROUPS = ("method", "sequence", "region", "protocol", "parallel")
@@ -94,7 +96,7 @@ class RunConfig:
     protocol: str
     sequence: SequenceConfig
     region: Region | None
-    params: FlowParams
+    params: Any  # FlowParams, or the dataclass of the method
     parallel: ParallelConfig
     dataset: str = AUTO
     context: int = 0
@@ -107,8 +109,8 @@ class RunConfig:
     results: Path = Path("results")
 
     def __post_init__(self) -> None:
-        if self.dataset not in (AUTO, *DATASETS):
-            raise unknown_name("dataset", self.dataset, (AUTO, *DATASETS))
+        if self.dataset != AUTO and self.dataset not in (names := dataset_names()):
+            raise unknown_name("dataset", self.dataset, (AUTO, *names))
         if self.context < 0:
             raise InputError(f"context must be at least 0 pixels, got {self.context}")
         if self.shift is not None and not 0 <= self.shift < N_SHIFTS:
@@ -131,8 +133,6 @@ class RunConfig:
             return
         if self.region is not None:
             raise InputError(f"margin={self.margin} is of whole frames; a region takes context")
-        if 2 * self.margin >= (side := min(shape_of(self.sequence.name, self.sequence.dataset))):
-            raise InputError(f"margin={self.margin} leaves nothing of a side of {side} pixels")
 
     def override(self, values: Mapping[str, str]) -> RunConfig:
         """Return a copy with parameters and settings changed, by command-line key; groups are not among them."""
@@ -149,7 +149,7 @@ class RunConfig:
                 changes[key] = None if value == "null" else _number(key, value)
             else:
                 changes[key.rpartition(".")[2]] = Path(value) if key == "paths.results" else value
-        return dataclasses.replace(self, params=self.params.replace(params), **changes)
+        return dataclasses.replace(self, params=self.method.replace(self.params, params), **changes)
 
 
 def _whole(key: str, value: Any) -> int:
@@ -166,39 +166,57 @@ def _number(key: str, value: Any, what: str = "a number") -> float:
         raise InputError(f"`{key}` must be {what}, got {value!r}") from None
 
 
-def group_options(group: str) -> list[str]:
-    """Return the names in a configuration group, sorted; regions without ``none``."""
+def group_options(group: str, *, own: bool = True) -> list[str]:
+    """Return the names in a configuration group, sorted; regions without ``none``.
+
+    Those of ``conf/`` in the working folder are among them if `own`.
+    """
     if group == "method":
-        return sorted(METHODS)
-    names = sorted(path.stem for path in asset(f"conf/{group}").glob("*.yaml"))
-    return [name for name in names if name != "none"]
+        return method_names()
+    names = {path.stem for path in asset(f"conf/{group}").glob("*.yaml")}
+    if own:
+        names |= working_folder.own_names(own_files(), group)
+    return sorted(names - {"none"})
 
 
-def protocol_settings(name: str) -> tuple[Method, dict[str, Any]]:
-    """Return the method and the parameters of a protocol, without those of any sequence."""
+def own_files() -> working_folder.Files:
+    """Return the files of ``conf/`` in the working folder."""
+    return working_folder.own_files(asset("conf"))
+
+
+def protocol_settings(name: str) -> tuple[str, dict[str, Any]]:
+    """Return the method's name and the parameters of a protocol, without those of any sequence."""
     config = load_config({"protocol": name})  # which refuses a file that is none
-    raw = _compose((("protocol", name), ("sequence", "none")))
-    return config.method, raw["params"]
+    return config.method.name, _composed({"protocol": name, "sequence": "none"})["params"]
 
 
-def known_keys() -> list[str]:
-    """Return every key that an override may name."""
-    return [*GROUPS, *SETTINGS, *FlowParams.names()]
+def known_keys(methods: Iterable[Method] = ()) -> list[str]:
+    """Return every key that an override may name; parameters are those of our methods and of the given ones."""
+    own = [name for method in methods for name in method.names]
+    return [*dict.fromkeys([*GROUPS, *SETTINGS, *FlowParams.names(), *own])]
 
 
-def load_config(choices: Mapping[str, str]) -> RunConfig:
+def load_config(choices: Mapping[str, str], pair: SequenceConfig | None = None) -> RunConfig:
     """Compose and check the configuration for a choice of groups.
 
-    Groups left out take the default of ``conf/config.yaml``.
+    Groups left out take the default of ``conf/config.yaml``. A `pair` is a sequence without a
+    file there: its parameters are the protocol's.
     """
     for group, name in choices.items():
         if name not in (options := group_options(group)) and not (group == "region" and name == "none"):
             raise unknown_name(group, name, options)
-    return _typed(_compose(tuple(sorted(choices.items()))), choices)
+    if pair is not None:
+        raw = _composed({**choices, "sequence": "none"})
+        return _typed({**raw, "sequence": None}, choices, pair)
+    return _typed(_composed(choices), choices)
+
+
+def _composed(choices: Mapping[str, str]) -> dict[str, Any]:
+    return _compose(tuple(sorted(choices.items())), own_files())
 
 
 @lru_cache(maxsize=256)
-def _compose(choices: tuple[tuple[str, str], ...]) -> dict[str, Any]:
+def _compose(choices: tuple[tuple[str, str], ...], own: working_folder.Files) -> dict[str, Any]:
     names = dict(choices)
     names.pop("method", None)  # a method is a word of the configuration, not a group: the registry knows it
     region = names.pop("region", "none")
@@ -211,18 +229,20 @@ def _compose(choices: tuple[tuple[str, str], ...]) -> dict[str, Any]:
     elif sequence is not None:
         overrides.append(f"sequence={sequence}")
     folder = asset("conf").resolve()
-    raw = cached_composition(folder, choices, lambda: _by_hydra(folder, overrides))
+    working_folder.check(own, folder)
+    files = [*sorted(folder.rglob("*.yaml")), *(path for path, *_ in own)]
+    raw = cached_composition(files, choices, lambda: _by_hydra(folder, overrides, own))
     return mapping(raw, f"configuration {folder}")
 
 
-def _by_hydra(folder: Path, overrides: list[str]) -> Any:
+def _by_hydra(folder: Path, overrides: list[str], own: working_folder.Files) -> Any:
     from hydra import compose, initialize_config_dir
     from omegaconf import OmegaConf
 
     refuse_code(folder)
     try:
         with initialize_config_dir(str(folder), version_base="1.3"):
-            composed = compose("config", overrides=overrides)
+            composed = compose("config", overrides=[*overrides, *working_folder.search_path(own)])
         return OmegaConf.to_container(composed, resolve=True)
     except Exception as exc:  # Hydra lets nearly any exception through on a file it does not expect
         raise InputError(f"configuration {folder}: {' '.join(str(exc).split())}") from exc
@@ -241,7 +261,7 @@ _TOP_LEVEL = (
 )  # fmt: skip
 
 
-def _typed(raw: Mapping[str, Any], choices: Mapping[str, str]) -> RunConfig:
+def _typed(raw: Mapping[str, Any], choices: Mapping[str, str], pair: SequenceConfig | None = None) -> RunConfig:
     chosen = ", ".join(f"{group}={name}" for group, name in choices.items())
     where = f"configuration ({chosen})" if chosen else "configuration"
     raw = {"method": DEFAULT_METHOD, **mapping(raw, where, _TOP_LEVEL)}
@@ -251,14 +271,18 @@ def _typed(raw: Mapping[str, Any], choices: Mapping[str, str]) -> RunConfig:
     paths = record(_Paths, raw["paths"], f"{where}, paths")
     # a protocol may name a method, but the one that is asked for wins
     method = get_method(require_name(choices.get("method", raw["method"]), "`method`", where))
-    params = FlowParams().replace(method.defaults)
     region = None if raw["region"] is None else record(Region, raw["region"], f"{where}, region")
+    protocol = require_name(raw["protocol"], "`protocol`", where)
+    sequence = pair or _sequence(raw["sequence"], region, choices, where)
+    for group, name in (("protocol", protocol), ("region", region.name if region else "none")):
+        if name != choices.get(group, name):
+            raise InputError(f"{where}: the file {choices[group]}.yaml must give the same name, not {name!r}")
     return RunConfig(
         method=method,
-        protocol=require_name(raw["protocol"], "`protocol`", where),
-        sequence=_sequence(raw["sequence"], region, choices, where),
+        protocol=protocol,
+        sequence=sequence,
         region=region,
-        params=params.replace(mapping(raw["params"], f"{where}, params"), f"{where}, params"),
+        params=_params(method, raw, choices, f"{where}, params"),
         parallel=record(ParallelConfig, raw["parallel"], f"{where}, parallel"),
         dataset=require_name(raw["dataset"], "`dataset`", where),
         context=_whole("context", raw["context"]),
@@ -268,6 +292,15 @@ def _typed(raw: Mapping[str, Any], choices: Mapping[str, str]) -> RunConfig:
         data=paths.data,
         results=Path(paths.results),
     )
+
+
+def _params(method: Method, raw: Mapping[str, Any], choices: Mapping[str, str], where: str) -> Any:
+    """Return a method's parameters: those of the files are `FlowParams`, unless the protocol names the method."""
+    given = mapping(raw["params"], where)
+    if method.params is not FlowParams:
+        named = raw["method"] == method.name
+        given = _composed({"protocol": choices["protocol"], "sequence": "none"})["params"] if named else {}
+    return method.replace(method.start(), given, where)
 
 
 @dataclass(frozen=True)
@@ -288,17 +321,22 @@ def _sequence(raw: Any, region: Region | None, choices: Mapping[str, str], where
     for what, name in vars(sequence).items():
         if name is not None:
             require_name(name, f"`{what}`", f"{where}, sequence")
-    shape = shape_of(sequence.name, sequence.dataset)
+    get_dataset(sequence.dataset)
+    if is_fixed(sequence.dataset):
+        match_sequence(sequence.name, sequence.dataset)
     if sequence.stand_in is not None:
-        shape_of(sequence.stand_in, "synthetic")
+        match_sequence(sequence.stand_in, "synthetic")
     if region is None:
         return sequence
+    if not is_fixed(sequence.dataset):
+        raise InputError(f"{where}: regions belong to Middlebury; dataset {sequence.dataset} has none")
+    shape = shape_of(match_sequence(sequence.name, sequence.dataset), sequence.dataset)
     require_name(region.name, "`name`", f"{where}, region")
     if "sequence" in choices and choices["sequence"] != key:
         raise InputError(f"region={choices['region']} belongs to sequence={key}, not to {choices['sequence']}")
     if key not in (options := group_options("sequence")):
         raise unknown_name("sequence", key, options, f"{where}, region")
-    if _compose((("sequence", key),))["sequence"] != raw:
+    if _composed({"sequence": key})["sequence"] != raw:
         raise InputError(f"{where}: the region is of {key!r}, but its defaults choose {sequence.name!r}")
     require_inside(region, shape)
     return sequence

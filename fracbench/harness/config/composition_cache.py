@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
@@ -18,13 +18,15 @@ from fracbench.data.files import atomic_path
 from fracbench.errors import InputError
 
 
-def cached_composition(folder: Path, choices: tuple[tuple[str, str], ...], compose: Callable[[], Any]) -> Any:
+def cached_composition(
+    files: Iterable[Path], choices: tuple[tuple[str, str], ...], compose: Callable[[], Any]
+) -> Any:
     """Return ``compose()``, or its cached result for the same choices and files.
 
-    An entry's name is a digest of every file below `folder` and of Hydra's version, so that it is never out of
+    An entry's name is a digest of the choices, of all files and of Hydra's version, so that it is never out of
     date. If the cache cannot be read or written, nothing is cached.
     """
-    path = cache_folder() / f"{_name(folder, choices)}.json"
+    path = cache_folder() / f"{_name(files, choices)}.json"
     with suppress(OSError, ValueError):
         return json.loads(path.read_text(encoding="utf-8"))
     composed = compose()
@@ -44,9 +46,9 @@ def cache_folder() -> Path:
     return user_cache_path("fracbench") / "configurations"
 
 
-def _name(folder: Path, choices: tuple[tuple[str, str], ...]) -> str:
+def _name(files: Iterable[Path], choices: tuple[tuple[str, str], ...]) -> str:
     digest = hashlib.sha256(f"{version('hydra-core')} {choices}".encode())
-    for path in sorted(folder.rglob("*.yaml")):
+    for path in files:
         content = path.read_bytes()
-        digest.update(f"\0{path.relative_to(folder)}\0{len(content)}\0".encode() + content)
+        digest.update(f"\0{path}\0{len(content)}\0".encode() + content)
     return digest.hexdigest()

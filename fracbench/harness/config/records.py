@@ -22,6 +22,8 @@ T = TypeVar("T")
 _NAME = re.compile(r"[A-Za-z0-9]\w*(?:[.+-]\w+)*", re.ASCII)
 _LONGEST = 80
 _PACKAGE = re.compile(r"^\s*#\s*@package\s+(?!_global_\s*$)(\S.*)", re.MULTILINE)
+_LARGEST = 1_000_000
+_RESOLVER = re.compile(r"\$\{.*:", re.DOTALL)
 _SPECIAL = re.compile(r"hydra|_\w+_")
 _WORDS = {
     str: "a text",
@@ -98,14 +100,21 @@ def refuse_code(folder: Path) -> None:
     That is ``hydra`` or a key such as ``_target_`` anywhere in it, and another package than ``_global_``.
     """
     for path in sorted(folder.rglob("*.yaml")):
-        state = path.stat()
-        _refuse_code(path, state.st_mtime_ns, state.st_size)
+        read_plain(path)
+
+
+def read_plain(path: Path) -> Mapping[str, Any]:
+    """Return a YAML file as plain data, and refuse one on which Hydra would act."""
+    state = path.stat()
+    return _read_plain(path, state.st_mtime_ns, state.st_size)
 
 
 @lru_cache(maxsize=1024)
-def _refuse_code(path: Path, *_: int) -> None:
+def _read_plain(path: Path, _: int, size: int) -> Mapping[str, Any]:
     import yaml
 
+    if size > _LARGEST:
+        raise InputError(f"{path}: has {size} bytes, more than the {_LARGEST} of a configuration")
     try:
         text = path.read_text(encoding="utf-8")
         raw = yaml.safe_load(text)
@@ -115,11 +124,12 @@ def _refuse_code(path: Path, *_: int) -> None:
     if package:
         raise InputError(f"{path}: the package must be _global_, got {package[1].strip()!r}")
     if raw is None:
-        return
+        return {}
     _refuse_aliases(raw, str(path), set())
     for word in _words(mapping(raw, str(path))):
-        if _SPECIAL.fullmatch(word.strip("/ ").partition("/")[0]):
+        if _SPECIAL.fullmatch(word.strip("/ ").partition("/")[0]) or _RESOLVER.search(word):
             raise InputError(f"{path}: {word!r} is not allowed: a configuration is data and runs no code")
+    return raw
 
 
 def _refuse_aliases(raw: Any, where: str, seen: set[int]) -> None:
@@ -141,7 +151,7 @@ def _short(value: Any) -> str:
 
 
 def _words(raw: Any) -> Iterator[str]:
-    """Yield every key, and every entry of a list, which for Hydra may be a key as well."""
+    """Yield every key, every entry of a list, which for Hydra may be a key as well, and texts with ``${``."""
     if isinstance(raw, Mapping):
         for key, value in raw.items():
             yield str(key).removeprefix("override ")
@@ -151,3 +161,5 @@ def _words(raw: Any) -> Iterator[str]:
             if isinstance(item, str) and item != "_self_":
                 yield item
             yield from _words(item)
+    elif isinstance(raw, str) and "${" in raw:
+        yield raw

@@ -1,4 +1,4 @@
 """From a plan to stored results: points and their keys, the sweep over them, worker processes and the store.
 
-Imports `fracbench.harness.config`, `fracbench.evaluation` and what these may import.
+Imports `fracbench.harness.config`, `fracbench.evaluation` and the rooms that these may import.
 """

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import pkgutil
 import time
-import traceback
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -14,22 +13,23 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from fracbench.data.datasets.registry import load_sequence
+from fracbench.data.datasets.registry import get_dataset, load_sequence
 from fracbench.data.pair import FramePair
 from fracbench.data.regions import Crop, crop
 from fracbench.errors import FracbenchError, InputError
-from fracbench.evaluation.class_errors import errors_by_class
-from fracbench.evaluation.metrics import flow_errors
+from fracbench.evaluation.class_errors import errors_by_class, errors_by_mask
+from fracbench.evaluation.metrics import flow_errors, outliers
 from fracbench.harness.run import provenance
 from fracbench.harness.run.message import Outcome
 from fracbench.harness.run.point import MEASURES, Point
 from fracbench.harness.run.provenance import peak_mib, reset_peak
+from fracbench.methods.method import Method, described, fields_of
 from fracbench.methods.paper import energy_growth
 from fracbench.methods.registry import get_method
 from fracbench.model.params import FlowParams
 from fracbench.model.structure import structure_classes
 
-#: A flow has diverged if its regularity is so many times the energy of no flow at all. For a minimiser the ratio
+#: A flow has diverged if its regularity is this many times the energy of no flow at all. For a minimiser the ratio
 #: is below 1; it has been seen near 40 where the data term has next to no weight (lambda = 1e-5).
 GROWN = 100.0
 
@@ -47,52 +47,42 @@ def run_point(point: Point, folder: Path | None, guard: Guard = nullcontext) -> 
     except FracbenchError as exc:
         return Outcome("failed", str(exc), {}, None, None, machine)
     except Exception as exc:
-        place = traceback.extract_tb(exc.__traceback__)[-1]
-        message = f"{type(exc).__name__}: {exc} ({Path(place.filename).name}:{place.lineno})"
-        return Outcome("failed", " ".join(message.split()), {}, None, None, machine)
+        return Outcome("failed", described(exc), {}, None, None, machine)
 
 
 def _compute(point: Point, folder: Path | None, machine: dict[str, Any], guard: Guard) -> Outcome:
     if point.score in MEASURES:
         return _measure(point, folder, machine, guard)
     frame0, frame1, truth, inner = point_arrays(point, folder)
-    if truth is None:
-        raise InputError(f"sequence {point.sequence}: has no true flow to compare with")
-    method = get_method(point.method)
-    params = point.params
-    _warm_up(point.method, params)
+    method = get_method(point.method).require()
+    if method.stamp != point.version:
+        versions = f"this worker has {method.stamp!r}, the sweep {point.version!r}"
+        raise InputError(f"{method.origin}: {versions}; install the same version")
+    params = method.restored(point.params)
+    _warm_up(method, params)
     reset_peak()
     started = time.perf_counter()
     with guard():
-        flow_result = method.estimate(frame0, frame1, params)
+        flow_result = method.compute(frame0, frame1, params)
     seconds = time.perf_counter() - started
-    scored = flow_result.flow[(slice(None), *inner)], truth[(slice(None), *inner)]
-    errors = flow_errors(*scored)
+    flow = flow_result.flow[(slice(None), *inner)]
     result: dict[str, Any] = {
-        "aae": errors.aae,
-        "aepe": errors.aepe,
-        "sdae": errors.sdae,
-        "n_pixels": errors.n_pixels,
-        "n_unknown": errors.n_unknown,
-        "n_nonfinite": errors.n_nonfinite,
+        **_errors(point, folder, flow, None if truth is None else truth[(slice(None), *inner)]),
         "iterations": flow_result.iterations,
         "inner_iterations": [level.inner_iterations for level in flow_result.levels],
         "stop": flow_result.stop_reason,
         "phases": flow_result.seconds,
         "notices": flow_result.notices,
     }
-    if point.score == "structure":
-        classes = structure_classes(_sequence_of(point, folder).frame0)
-        by_class = errors_by_class(*scored, classes if point.region is None else classes[point.region.inside])
-        result["classes"] = {name: vars(found) for name, found in by_class.items()}
     peak = peak_mib()
-    error = _divergence(point.method, frame0, frame1, flow_result.flow, params, result["stop"], errors.n_nonfinite)
+    n_bad = result["n_nonfinite"]
+    error = _divergence(point.method, frame0, frame1, flow_result.flow, params, result["stop"], n_bad)
     return Outcome("done" if error is None else "diverged", error, result, seconds, peak, machine)
 
 
 def _measure(point: Point, folder: Path | None, machine: dict[str, Any], guard: Guard) -> Outcome:
     measure = pkgutil.resolve_name(MEASURES[point.score])
-    _warm_up(point.method, point.params)
+    _warm_up(get_method(point.method), point.params)
     reset_peak()
     started = time.perf_counter()
     with threadpool_limits(1), guard():  # a measure may have loaded further libraries
@@ -100,9 +90,28 @@ def _measure(point: Point, folder: Path | None, machine: dict[str, Any], guard: 
     return Outcome("done", None, result, time.perf_counter() - started, peak_mib(), machine)
 
 
-def _divergence(
-    name: str, frame0: Any, frame1: Any, flow: Any, params: FlowParams, stop: str, n_bad: int
-) -> str | None:
+def _errors(point: Point, folder: Path | None, flow: Any, truth: Any) -> dict[str, Any]:
+    """Return the errors that a row keeps; without a true flow only the number of its pixels."""
+    if truth is None:
+        n_bad = int((~np.isfinite(flow)).any(axis=0).sum())
+        return {"n_pixels": 0, "n_unknown": flow[0].size, "n_nonfinite": n_bad}
+    pair = _sequence_of(point, folder)
+    inside = (slice(None), slice(None)) if point.region is None else point.region.inside
+    errors = vars(flow_errors(flow, truth))
+    names = ("aae", "aepe", "sdae", "n_pixels", "n_unknown", "n_nonfinite")
+    result: dict[str, Any] = {name: errors[name] for name in names}
+    if get_dataset(point.dataset).outliers:
+        result["fl_all"] = outliers(flow, truth)
+    if point.score == "structure":
+        by_class = errors_by_class(flow, truth, structure_classes(pair.frame0)[inside])
+        result["classes"] = {name: vars(found) for name, found in by_class.items()}
+    if pair.matched is not None:
+        masks = {"matched": pair.matched[inside], "unmatched": ~pair.matched[inside]}
+        result["masks"] = {name: vars(found) for name, found in errors_by_mask(flow, truth, masks).items()}
+    return result
+
+
+def _divergence(name: str, frame0: Any, frame1: Any, flow: Any, params: Any, stop: str, n_bad: int) -> str | None:
     if stop == "diverged":
         return f"diverged: {n_bad} pixels of the flow are not finite"
     growth = energy_growth(name, frame0, frame1, flow, params, enough=GROWN)
@@ -112,7 +121,7 @@ def _divergence(
 
 
 @lru_cache(maxsize=8)
-def _sequence(name: str, dataset: str, folder: Path | None, noise: float, seed: int) -> FramePair:
+def _sequence(name: str, dataset: str, folder: Path | None, noise: float, seed: int, _: str) -> FramePair:
     return load_sequence(name, dataset, folder, noise=noise, seed=seed)
 
 
@@ -146,7 +155,8 @@ def point_arrays(point: Point, folder: Path | None) -> tuple[Any, Any, Any, tupl
 def _sequence_of(point: Point, folder: Path | None) -> FramePair:
     sequence = _held.get(point.data_digest)
     if sequence is None:
-        sequence = _sequence(point.sequence, point.dataset, folder, point.noise, point.seed)
+        data = point.sequence, point.dataset, folder, point.noise, point.seed
+        sequence = _sequence(*data, point.data_digest)
     if sequence.digest != point.data_digest:
         raise InputError(f"sequence {point.sequence}: the data changed while the sweep was running")
     return sequence
@@ -155,17 +165,20 @@ def _sequence_of(point: Point, folder: Path | None) -> FramePair:
 _warmed: set[tuple[str | bool, ...]] = set()
 
 
-def _warm_up(name: str, params: FlowParams) -> None:
+def _warm_up(method: Method, params: Any) -> None:
     """Compile, or load from numba's cache, all that a method calls, outside every timing.
 
     From then on the process computes on one thread: tables must not depend on the number of jobs.
     """
-    # What is called follows from the words among the parameters, and from the numbers that are 0: off.
-    switches = [value if isinstance(value, str) else bool(value) for value in params.as_dict().values()]
-    variant = (name, *switches)
+    # The words among the parameters, and the numbers that are 0 (off), tell which functions are called.
+    own = isinstance(params, FlowParams)
+    switches = [value if isinstance(value, str) else bool(value) for value in fields_of(params).values()]
+    variant = (method.name, *switches)
     if variant not in _warmed:
         tiny = np.random.default_rng(0).uniform(0.0, 255.0, (2, 32, 32))
-        small = params.replace({"n_scales": 2, "n_warps": 1, "max_iter": 2, "max_inner": 2})
-        get_method(name).estimate(tiny[0], tiny[1], small)
+        small = params.replace({"n_scales": 2, "n_warps": 1, "max_iter": 2, "max_inner": 2}) if own else params
+        # frames so small may be refused by a method that can do with larger ones
+        with nullcontext() if own else suppress(Exception):
+            method.compute(tiny[0], tiny[1], small)
         threadpool_limits(1)  # of all libraries that are loaded by now
         _warmed.add(variant)

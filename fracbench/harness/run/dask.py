@@ -36,7 +36,7 @@ _GATHER_SECONDS = 5.0
 _POLL_SECONDS = 1.0
 _FLUSH_SECONDS = 1.0
 _LOOK_SECONDS = 0.2
-#: A worker that is missing in so many looks in a row is given up: by then its last event has arrived.
+#: A worker that is missing in this many looks in a row is given up: by then its last event has arrived.
 _MISSES = 2
 
 
@@ -142,7 +142,7 @@ class DaskPool:
 
     def _lacked_data(self, future: Any) -> bool:
         """Tell whether the worker could not begin; not if it died right after it had ended."""
-        with suppress(TimeoutError):  # what it returned is gone with it, and would be waited for forever
+        with suppress(TimeoutError):  # its result is gone with it, and would be waited for forever
             return not future.result(timeout=_GATHER_SECONDS)
         return False
 
@@ -156,7 +156,7 @@ class DaskPool:
         """Leave the cluster; points under way there are given up, and their workers start anew."""
         for _, future in self._busy.values():
             future.release()
-        with suppress(TimeoutError):  # what is left to do ends with this process
+        with suppress(TimeoutError):  # the rest ends with this process
             self._client.close(timeout=1)
 
 
@@ -169,7 +169,7 @@ def _connect(address: str | None) -> Any:
 
     connect: Any = Client
     for name in ("distributed.client", "distributed.comm", "distributed.core", "tornado.application"):
-        logging.getLogger(name).setLevel(logging.CRITICAL)  # what goes wrong is said in one line
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # an error is told in one line
     try:
         return connect(address, timeout=_CONNECT_SECONDS, set_as_default=False)
     except (OSError, ValueError) as exc:
@@ -232,7 +232,7 @@ def _work(job: Job, topic: str) -> None:
     from fracbench.harness.run import compute_point
 
     worker = get_worker()
-    settled = threading.Lock()  # taken by whoever is first, the result or the clock
+    settled = threading.Lock()  # taken by the first: the result or the clock
 
     def expire() -> None:
         if settled.acquire(blocking=False):
@@ -265,10 +265,9 @@ def _unpack(job: Job, files: Mapping[str, bytes]) -> None:
     from fracbench.harness.run import compute_point
 
     with tempfile.TemporaryDirectory(prefix="fracbench-") as name:
-        folder = Path(name) / job.point.sequence
-        folder.mkdir()
         for file, content in files.items():
-            (folder / file).write_bytes(content)
+            (Path(name) / file).parent.mkdir(parents=True, exist_ok=True)
+            (Path(name) / file).write_bytes(content)
         point = job.point
         load = get_dataset(point.dataset).load
         compute_point.hold(load(point.sequence, Path(name), noise=point.noise, seed=point.seed))

@@ -1,4 +1,4 @@
-"""Flows of points as files. The store keeps numbers; pictures and oracles need the flows themselves."""
+"""Flows of points as files. The store keeps numbers; pictures need the flows themselves."""
 
 from __future__ import annotations
 
@@ -23,5 +23,5 @@ def keep_flow(point: Point, data: Path | None, path: Path) -> None:
         return
     frame0, frame1, _, inner = point_arrays(point, data)
     with threadpool_limits(1):  # as for every stored number
-        result = get_method(point.method).estimate(frame0, frame1, point.params)
+        result = get_method(point.method).compute(frame0, frame1, point.params)
     write_flow(path, result.flow[(slice(None), *inner)])

@@ -1,4 +1,4 @@
-"""What the parent and a worker say to each other: a job there, an outcome or a row back."""
+"""The messages between the parent and a worker: a job there, an outcome or a row back."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from fracbench.harness.run.store import Row
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a point ended: seconds of the estimate alone, and the largest resident memory of the process meanwhile.
+    """The end of a point: seconds of the estimate alone, and the largest resident memory of the process meanwhile.
 
-    A worker says ``done``, ``failed`` or ``diverged``; ``timeout`` and ``crashed`` come from whoever ends it.
+    A worker says ``done``, ``failed`` or ``diverged``; the process that ends it, ``timeout`` or ``crashed``.
     """
 
     status: str

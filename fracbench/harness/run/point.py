@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 from fracbench.data.regions import Region
 from fracbench.harness.config.numbers import canonical_number
 from fracbench.harness.run.store import canonical_json
+from fracbench.methods.method import fields_of
 from fracbench.methods.registry import get_method
 from fracbench.model import SOLVER_VERSION
 from fracbench.model.params import FlowParams
@@ -25,22 +27,21 @@ MEASURES = {
 #: The dataset and the sequence of a point that needs no data.
 NO_DATA = "none"
 
-#: Parameters younger than stored results, with the values that leave these as they are: no part of a key.
-_YOUNGER = {"finest_scale": "0", "texture": "0", "occlusion": "median"}
-
 
 @dataclass(frozen=True)
 class Point:
     """One computation: everything its result depends on, and nothing else.
 
-    Parameters that the method does not use, and the region's name, are no part of the key. `context` counts pixels
-    around the region that take part in the computation; `data_digest` is the data's SHA-256; `noise` (gray levels)
-    and `seed` are of a rendered scene. `score` is ``"frame"``, ``"structure"`` for errors by class of pixels as
-    well, or one of `MEASURES`; its `options` are numbers or tuples of numbers.
+    Parameters that the method does not use, and the region's name, are no part of the key. `params` are
+    `FlowParams` or another frozen dataclass; `context` counts pixels around the region that take part in the
+    computation; `data_digest` is the data's SHA-256; `noise` (gray levels) and `seed` are of a rendered scene.
+    `score` is ``"frame"``, ``"structure"`` for errors by class of pixels as well, or one of `MEASURES`; its
+    `options` are numbers or tuples of numbers. `version` is `Method.stamp`; `shape`, that of the frames, tells the
+    cost and is no part of the key.
     """
 
     method: str
-    params: FlowParams
+    params: Any
     dataset: str
     sequence: str
     region: Region | None
@@ -50,24 +51,35 @@ class Point:
     seed: int = 0
     score: str = "frame"
     options: tuple[tuple[str, Any], ...] = ()
+    version: str = ""
+    shape: tuple[int, int] | None = field(default=None, compare=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickle parameters of a package as plain values: a worker that lacks the package says so in a row."""
+        plain = isinstance(self.params, FlowParams | Mapping)
+        return {**vars(self), "spec": self.spec, "params": self.params if plain else fields_of(self.params)}
 
     @cached_property
     def canonical(self) -> dict[str, str]:
         """The parameters that the method uses, sorted by public name: words, and numbers as decimals."""
-        params = self.params.as_dict()
-        return {name: canonical_value(params[name]) for name in sorted(get_method(self.method).uses)}
+        return {
+            name: canonical_value(value) for name, value in get_method(self.method).values(self.params).items()
+        }
 
-    @property
+    @cached_property
     def spec(self) -> dict[str, Any]:
-        """The canonical form, without the data's content; noise to options, and `_YOUNGER`, only where unusual."""
-        usual: dict[str, Any] = {"noise": "0", "seed": 0, "score": "frame", "options": {}}
-        values = {"noise": canonical_value(self.noise), "seed": self.seed, "score": self.score}
+        """The canonical form, without the data's content; younger entries only where they are unusual."""
+        usual: dict[str, Any] = {"noise": "0", "seed": 0, "score": "frame", "options": {}, "version": ""}
+        values: dict[str, Any] = {
+            "noise": canonical_value(self.noise), "seed": self.seed, "score": self.score, "version": self.version
+        }  # fmt: skip
         values["options"] = {name: _canonical_option(value) for name, value in self.options}
+        younger = {name: canonical_value(value) for name, value in get_method(self.method).younger.items()}
         region = self.region
         return {
             **{name: value for name, value in values.items() if value != usual[name]},
             "method": self.method,
-            "params": {name: value for name, value in self.canonical.items() if _YOUNGER.get(name) != value},
+            "params": {name: value for name, value in self.canonical.items() if younger.get(name) != value},
             "dataset": self.dataset,
             "sequence": self.sequence,
             "box": None if region is None else [*region.rows, *region.cols],
@@ -76,8 +88,8 @@ class Point:
 
     @property
     def identity(self) -> str:
-        """SHA-256 of the canonical form alone."""
-        return _sha256(self.spec)
+        """SHA-256 of the canonical form alone, for any version of the method."""
+        return _sha256({name: value for name, value in self.spec.items() if name != "version"})
 
     @cached_property
     def key(self) -> str:

@@ -33,7 +33,7 @@ Ended = Generator[tuple[str, Row | None], None, None]
 MAX_FALSE_STARTS = 2
 
 _LOOK_SECONDS = 0.5
-#: After its time an estimate is interrupted; if that does not help, the process ends so many seconds later.
+#: After its time an estimate is interrupted; if that does not help, the process ends this many seconds later.
 _GRACE_SECONDS = 1.0
 
 

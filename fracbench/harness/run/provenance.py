@@ -1,4 +1,4 @@
-"""Where a result comes from, machine, versions and commit, and what memory a computation took."""
+"""The origin of a result (machine, versions, commit) and the memory that its computation took."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _PEERS = ("opencv-contrib-python-headless", "opencv-python", "scikit-image")
 
 @lru_cache(maxsize=1)
 def machine() -> dict[str, Any]:
-    """Return what is known of the machine and the versions at work in this process."""
+    """Return the machine and the versions at work in this process."""
     return {
         "host": platform.node(),
         "cpu": _cpu(),
@@ -55,7 +55,7 @@ def commit() -> dict[str, Any]:
 
 
 def git(root: Path, *arguments: str) -> str:
-    """Return what a git command prints in a checkout; an error if it fails or takes longer than 10 s."""
+    """Return the output of a git command in a checkout; an error if it fails or takes longer than 10 s."""
     done = subprocess.run(["git", *arguments], cwd=root, capture_output=True, text=True, check=True, timeout=10)
     return done.stdout.strip()
 

@@ -1,4 +1,4 @@
-"""The SQLite file of a store: its schema, how it is opened, and what SQLite's errors mean to a user.
+"""The SQLite file of a store: its schema, how it is opened, and SQLite's errors in words for a user.
 
 The journal is WAL: readers go on while a row is written, and several sweeps may share a store (a writer waits up
 to `BUSY_SECONDS` for another). On a file system without shared memory, such as most network mounts, SQLite keeps
@@ -120,7 +120,7 @@ def _connect(path: Path, query: str) -> sqlite3.Connection:
 
 @contextmanager
 def transaction(db: sqlite3.Connection, begin: str = "BEGIN IMMEDIATE") -> Iterator[None]:
-    """Commit what is done inside, or take all of it back."""
+    """Commit all that is done inside, or take it back."""
     db.execute(begin)
     try:
         yield
@@ -174,7 +174,7 @@ def _code(exc: BaseException) -> int:
 
 
 def explain(exc: Exception) -> str:
-    """Return what an error of SQLite or the system means, and the remedy."""
+    """Return the meaning of an error of SQLite or the system, and the remedy."""
     if isinstance(exc, OSError):
         return f"{_REMEDIES[sqlite3.SQLITE_CANTOPEN]} ({exc.strerror})"
     remedy = _REMEDIES.get(_code(exc))

@@ -1,4 +1,4 @@
-"""How far experiments are: which points are done, failed, stale or missing, and which command goes on."""
+"""The state of experiments: points done, failed, stale and missing, and the command that resumes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _COMMANDS = {"table": "table", "fig": "figure"}
 
 @dataclass(frozen=True)
 class Standing:
-    """How many points of an experiment are done, failed, stale or missing, and the command that goes on, if any.
+    """The numbers of points of an experiment by state, and the command that resumes; empty if nothing is to do.
 
     Stale points are stored under other circumstances only: another solver version, other data. `error` says why
     the experiment cannot be planned.

@@ -14,13 +14,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 from fracbench.errors import FracbenchError, InputError, unknown_name
 from fracbench.harness.run.sqlite import DAMAGED, STATUSES, explain, open_to_read, open_to_write, transaction
 
-#: Where the store and what is computed for pictures are, below the results folder.
+#: The folders of the store and of flows for pictures, below the results folder.
 RUNS = "runs"
 STORE = Path(RUNS) / "store.sqlite"
 
@@ -38,7 +37,7 @@ def _now() -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """What is known of one point; numbers that are not finite come back as None, arrays and tuples as lists.
+    """The result of one point and its origin; numbers that are not finite come back as None, tuples as lists.
 
     The `key` hashes everything the result depends on, the `identity` the `spec` alone, without solver version and
     data: rows of one identity are the same point, run under different circumstances. `seconds` and `peak_mib` are
@@ -104,9 +103,7 @@ class Store:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, exc: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -148,11 +145,6 @@ class Store:
         values = _encode(row)
         with self._transaction():
             return self._db.execute(_UPSERT, values).rowcount == 1
-
-    def delete(self, keys: Iterable[str]) -> int:
-        """Delete the rows of these keys, all or none, and return how many there were."""
-        with self._transaction():
-            return self._db.executemany("DELETE FROM points WHERE key = ?", [(k,) for k in keys]).rowcount
 
     def _select(self, condition: str, parameters: Sequence[str]) -> list[Row]:
         with self._translated():

@@ -9,7 +9,6 @@ from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 from fracbench.errors import InputError
@@ -22,13 +21,13 @@ from fracbench.harness.run.pool import LocalPool, Pool
 from fracbench.harness.run.store import Row, Store
 from fracbench.model import SOLVER_VERSION
 
-#: So often a point is started whose worker dies.
+#: A point whose worker dies is started this many times.
 MAX_ATTEMPTS = 2
 
 #: None on Windows, where two sweeps at once are as safe but do not share the work.
 fcntl: Any = importlib.import_module("fcntl") if importlib.util.find_spec("fcntl") else None
 
-#: How long to wait before asking again for points that another sweep has claimed, seconds.
+#: Seconds between two looks at points that another sweep has claimed.
 _LOOK_SECONDS = 0.2
 
 OnRow = Callable[[Row], None]
@@ -88,6 +87,8 @@ def _reason(row: Row | None, point: Point, store: Store) -> str:
     latest = older[-1]
     if latest.solver_version != SOLVER_VERSION:
         return f"solver version {latest.solver_version} -> {SOLVER_VERSION}"
+    if latest.spec.get("version", "") != point.version:
+        return f"{point.method}: {latest.spec.get('version') or 'no version'} -> {point.version}"
     return "data changed"
 
 
@@ -140,8 +141,12 @@ class _Sweep:
         self._todo, self._store, self._claims, self._pool = todo, store, claims, pool
         self._folder = None if plan.folder is None else plan.folder.resolve()
         self._timeout, self._commit = plan.config.parallel.timeout, provenance.commit()
-        # The longest go first, so that no worker is left with one of them in the end.
-        self._waiting = deque(sorted(todo, key=lambda key: _turn(todo[key])))
+        # The longest go first, so that no worker is left with one of them in the end, and the points of a pair
+        # together, so that each worker reads it once.
+        pairs = {(point.dataset, point.sequence): i for i, point in enumerate(todo.values())}
+        self._waiting = deque(
+            sorted(todo, key=lambda key: (*_turn(todo[key]), pairs[todo[key].dataset, todo[key].sequence]))
+        )
         self._retries: deque[str] = deque()
         self._attempts = Counter[str]()
         self._under_way: set[str] = set()
@@ -184,7 +189,7 @@ class _Sweep:
         self._under_way.clear()
 
     def _jobs(self, keys: deque[str]) -> Iterator[Job]:
-        """Claim points and yield them as jobs; note what other sweeps have claimed or finished."""
+        """Claim points and yield them as jobs; note the points that other sweeps have claimed or finished."""
         while keys:
             key = keys.popleft()
             if not self._claims.take(key):
@@ -222,7 +227,7 @@ class _Sweep:
 
 
 def _turn(point: Point) -> tuple[bool, int]:
-    return point.score not in MEASURES, -pixels(point.spec)  # some measures take as long as many flows
+    return point.score not in MEASURES, -pixels(point)  # some measures take as long as many flows
 
 
 def claims_folder(store: Path) -> Path:
@@ -247,9 +252,7 @@ class Claims:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, exc: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._file.close()
 
     def take(self, key: str) -> bool:

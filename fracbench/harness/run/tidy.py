@@ -12,15 +12,10 @@ from fracbench.harness.run.store import Row
 if TYPE_CHECKING:
     import pandas as pd
 
-
 METRICS = ("aae", "aepe", "sdae")
-
-
 #: Columns of a tidy table that are computed. Seconds are not among them: they differ from run to run, and
 #: a table that is computed again must not differ by a byte. They are in the store.
 COUNTS = ("n_pixels", "n_unknown", "n_nonfinite")
-
-
 RESULT_COLUMNS = (*METRICS, *COUNTS)
 
 
@@ -40,8 +35,10 @@ def tidy(plan: Plan, rows: Mapping[str, Row]) -> pd.DataFrame:
         result = row.result if row else {}
         record: dict[str, Any] = {**blank, **planned.labels, **planned.point.canonical}
         record.update({name: result.get(name) for name in RESULT_COLUMNS})
-        for name, errors in result.get("classes", {}).items():
+        for name, errors in {**result.get("classes", {}), **result.get("masks", {})}.items():
             record.update({f"{metric}_{name}": errors[metric] for metric in METRICS})
+        if "fl_all" in result:
+            record["fl_all"] = result["fl_all"]
         record["iterations"] = _total(result.get("iterations"))
         record["inner_iterations"] = _total(result.get("inner_iterations"))
         record["stop"] = result.get("stop")
@@ -50,8 +47,9 @@ def tidy(plan: Plan, rows: Mapping[str, Row]) -> pd.DataFrame:
         record["key"] = planned.point.key
         records.append(record)
     table = pd.DataFrame.from_records(records)
+    parameters = {name for planned in plan.points for name in planned.point.canonical}
     for column in table.columns:
-        if column in METRICS or column in _parameter_names():
+        if column in METRICS or column in parameters:
             table[column] = _as_numbers(table[column])
     # A point that failed has no counts; those of the others stay whole numbers.
     return table.astype(dict.fromkeys((*COUNTS, "iterations", "inner_iterations"), "Int64"))
@@ -59,12 +57,6 @@ def tidy(plan: Plan, rows: Mapping[str, Row]) -> pd.DataFrame:
 
 def _total(levels: Sequence[Sequence[int]] | None) -> int | None:
     return None if levels is None else sum(sum(level) for level in levels)
-
-
-def _parameter_names() -> tuple[str, ...]:
-    from fracbench.model.params import FlowParams
-
-    return FlowParams.names()
 
 
 def _as_numbers(column: pd.Series) -> pd.Series:

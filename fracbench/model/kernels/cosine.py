@@ -155,32 +155,19 @@ def _to_fourier(work: Array, base: int, plan: LinePlan, factor: Array, sine: boo
 # --- the transforms ----------------------------------------------------------------------------------------
 
 
-@jit
 def cosine(x: Array, axis: int, start: int, stop: int, factor: Array, plan: LinePlan, out: Array) -> None:
     """Write ``factor(k) C(k)`` of the lines ``start..stop-1`` of `x`, which run along `axis`; `out` may be `x`.
 
     `start` is a multiple of `LINES`, `stop` is one or the number of lines.
     """
-    work, base = np.empty((2 * plan.results.size, LANES), x.dtype), int(np.intp(0))  # as in `fourier`
-    for first in range(start, stop, LINES):
-        gather(x, axis, first, plan.forth, work, base)
-        fourier(work, base, plan)
-        _from_fourier(work, base, plan, factor, False)
-        scatter(work, base, plan.results, out, axis, first, False)
+    _analyse(x, x, x, axis, start, stop, factor[:0], factor[:0], factor, plan, out)
 
 
-@jit
 def cosine_back(x: Array, axis: int, start: int, stop: int, factor: Array, plan: LinePlan, out: Array) -> None:
     """Write the lines whose cosine coefficients are ``factor(k) x(k)``; see `cosine`."""
-    work, base = np.empty((2 * plan.results.size, LANES), x.dtype), int(np.intp(0))  # as in `fourier`
-    for first in range(start, stop, LINES):
-        gather(x, axis, first, plan.natural, work, base)
-        _to_fourier(work, base, plan, factor, False)
-        fourier(work, base, plan)
-        scatter(work, base, plan.back, out, axis, first, True)
+    _synthesise(x, axis, start, stop, factor, factor[:0], plan, out, out)
 
 
-@jit
 def derivatives(
     x: Array, axis: int, start: int, stop: int, even: Array, odd: Array, plan: LinePlan, out: Array
 ) -> None:
@@ -189,53 +176,60 @@ def derivatives(
     A is the cosine series of ``even(k) x(k)``, B the sine series of ``odd(k) x(k)``. `out`, shape (2, 2, H, W), is
     by side (left, right) and direction (x, y); the direction of `axis` is written.
     """
-    n = plan.results.size
-    work = np.empty((4 * n, LANES), x.dtype)
-    for first in range(start, stop, LINES):
-        gather(x, axis, first, plan.natural, work, 0)
-        for row in range(n):
-            ar, ai = load_complex(work, row)
-            store_complex(work, n + row, ar, ai)
-        for base in (0, n):
-            _to_fourier(work, base, plan, even if base == 0 else odd, base > 0)
-            fourier(work, base, plan)
-        for sample in range(n):
-            row = plan.back[sample]
-            ar, ai = load_complex(work, row)
-            br, bi = load_complex(work, n + row)
-            if sample % 2 == 1:  # B's samples have alternating signs
-                store_complex(work, row, ar + br, ai + bi)
-                store_complex(work, n + row, ar - br, ai - bi)
-            else:
-                store_complex(work, row, ar - br, ai - bi)
-                store_complex(work, n + row, ar + br, ai + bi)
-        for side in range(2):
-            scatter(work, side * n, plan.back, out[side, 1 - axis], axis, first, True)
+    left, right = out[:, 1 - axis]
+    _synthesise(x, axis, start, stop, even, odd, plan, left, right)
 
 
-@jit
 def derivatives_adjoint(
-    d: Array,
-    v: Array,
-    axis: int,
-    start: int,
-    stop: int,
-    even: Array,
-    odd: Array,
-    direct: Array,
-    plan: LinePlan,
+    d: Array, v: Array, axis: int, start: int, stop: int, even: Array, odd: Array, direct: Array, plan: LinePlan,
     out: Array,
-) -> None:
+) -> None:  # fmt: skip
     """Write the cosine coefficients of the adjoint of `derivatives`, applied to the lines of `d`, (2, 2, H, W).
 
     ``direct(k)`` times the cosine coefficients of `v` are added, unless `direct` is empty.
     """
-    n = plan.results.size
-    work = np.empty((4 * n, LANES), d.dtype)
+    left, right = d[:, 1 - axis]
+    _analyse(left, right, v, axis, start, stop, even, odd, direct, plan, out)
+
+
+@jit
+def _synthesise(
+    x: Array, axis: int, start: int, stop: int, even: Array, odd: Array, plan: LinePlan, left: Array, right: Array
+) -> None:
+    """Write A to `left` if `odd` is empty, else ``A - B`` there and ``A + B`` to `right`; see `derivatives`."""
+    n, series = plan.results.size, 2 if odd.size else 1
+    work = np.empty((2 * series * n, LANES), x.dtype)
     for first in range(start, stop, LINES):
-        for side in range(2):
-            gather(d[side, 1 - axis], axis, first, plan.forth, work, side * n)
-        for row in range(n):
+        gather(x, axis, first, plan.natural, work, int(np.intp(0)))  # as in `fourier`
+        for row in range(n if series == 2 else 0):  # assigned as a slice it would take 3 s more to compile
+            ar, ai = load_complex(work, row)
+            store_complex(work, n + row, ar, ai)
+        for i in range(series):
+            _to_fourier(work, i * n, plan, even if i == 0 else odd, i > 0)
+            fourier(work, i * n, plan)
+        for sample in range(n if series == 2 else 0):
+            row = plan.back[sample]
+            ar, ai = load_complex(work, row)
+            br, bi = load_complex(work, n + row)
+            odd_sample = sample % 2  # B's samples have alternating signs
+            store_complex(work, row + n * odd_sample, ar - br, ai - bi)
+            store_complex(work, row + n * (1 - odd_sample), ar + br, ai + bi)
+        for i in range(series):
+            scatter(work, i * n, plan.back, left if i == 0 else right, axis, first, series > 0)
+
+
+@jit
+def _analyse(
+    left: Array, right: Array, v: Array, axis: int, start: int, stop: int, even: Array, odd: Array, direct: Array,
+    plan: LinePlan, out: Array,
+) -> None:  # fmt: skip
+    """Write the adjoint of `_synthesise` at `left` and `right` unless `even` is empty, and add that of `v`."""
+    n, series = plan.results.size, 2 if even.size else 0
+    work = np.empty((4 * n, LANES), v.dtype)
+    for first in range(start, stop, LINES):
+        for i in range(series):
+            gather(left if i == 0 else right, axis, first, plan.forth, work, i * n)
+        for row in range(n if series else 0):
             lr, li = load_complex(work, row)
             rr, ri = load_complex(work, n + row)
             store_complex(work, row, lr + rr, li + ri)
@@ -243,19 +237,20 @@ def derivatives_adjoint(
                 store_complex(work, n + row, lr - rr, li - ri)
             else:
                 store_complex(work, n + row, rr - lr, ri - li)
-        for base in (0, n):
-            fourier(work, base, plan)
-            _from_fourier(work, base, plan, even if base == 0 else odd, base > 0)
-        for k in range(n):
+        for i in range(series):
+            fourier(work, i * n, plan)
+            _from_fourier(work, i * n, plan, even if i == 0 else odd, i > 0)
+        for k in range(n if series else 0):
             # sine coefficient k is in the row of frequency n - k (see `_from_fourier`), coefficient 0 in its own
             _add_row(work, plan.results[k], n + plan.results[(n - k) % n])
         if direct.size:
-            gather(v, axis, first, plan.forth, work, n)
-            fourier(work, n, plan)
-            _from_fourier(work, n, plan, direct, False)
-            for row in range(n):
+            base = n if series else 0
+            gather(v, axis, first, plan.forth, work, base)
+            fourier(work, base, plan)
+            _from_fourier(work, base, plan, direct, series < 0)
+            for row in range(base):
                 _add_row(work, row, n + row)
-        scatter(work, 0, plan.results, out, axis, first, False)
+        scatter(work, int(np.intp(0)), plan.results, out, axis, first, series < 0)
 
 
 @jit

@@ -124,30 +124,27 @@ def _store_twiddled(work: Array, row: int, x: Lanes, y: Lanes, twiddles: Array, 
 def fourier(work: Array, base: int, plan: LinePlan) -> None:
     """Transform the rows of `work` from `base` on in place; ``plan.results`` holds the row of each result."""
     n, passes = plan.results.size, plan.radices.size
-    first = int(np.intp(0))  # not a literal 0, for which numba would compile every pass again
-    rest = _passes(work, base, n, first, plan.together, plan)
-    for start in range(base, base + n, rest):
-        _passes(work, start, rest, plan.together, passes, plan)
-
-
-@jit
-def _passes(work: Array, start: int, rows: int, first: int, last: int, plan: LinePlan) -> int:
-    """Run the passes ``first..last-1`` over `rows` rows; return the length of the remaining transforms."""
-    stop, rest = start + rows, rows
-    for i in range(first, last):
-        radix, k = plan.radices[i], plan.starts[i]
-        rest //= radix
-        if radix == 4:
-            _radix4(work, start, stop, rest, plan.twiddles, k)
-        elif radix == 2:
-            _radix2(work, start, stop, rest, plan.twiddles, k)
-        elif radix == 3:
-            _radix3(work, start, stop, rest, plan.twiddles, k)
-        elif radix == 5:
-            _radix5(work, start, stop, rest, plan.twiddles, k)
+    # not a literal 0, for which numba would compile every pass again
+    start, rows, rest, first, last = base, n, n, int(np.intp(0)), plan.together  # all rows together...
+    while start < base + n:
+        rest = rows
+        for i in range(first, last):
+            stop, radix, k = start + rows, plan.radices[i], plan.starts[i]
+            rest //= radix
+            if radix == 4:
+                _radix4(work, start, stop, rest, plan.twiddles, k)
+            elif radix == 2:
+                _radix2(work, start, stop, rest, plan.twiddles, k)
+            elif radix == 3:
+                _radix3(work, start, stop, rest, plan.twiddles, k)
+            elif radix == 5:
+                _radix5(work, start, stop, rest, plan.twiddles, k)
+            else:
+                _odd_radix(work, start, stop, radix, rest, plan.twiddles, k, plan.roots, plan.root_starts[i])
+        if last < passes:  # ...then one shorter transform after the other
+            rows, first, last = rest, last, passes
         else:
-            _odd_radix(work, start, stop, radix, rest, plan.twiddles, k, plan.roots, plan.root_starts[i])
-    return rest
+            start += rows
 
 
 @jit

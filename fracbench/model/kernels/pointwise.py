@@ -177,7 +177,7 @@ def add_and_divide(x: Array, y: Array, along_y: Array, along_x: Array, start: in
 @jit
 def mean_squared_change(a: Array, b: Array) -> float:
     """Return the mean over pixels of ``|a - b|^2``, summed over components, in float64 (section 3.4)."""
-    total, zero = 0.0, a.dtype.type(0.0)
+    total, zero = np.float64(0.0), a.dtype.type(0.0)
     components, height, width = a.shape
     for c in range(components):
         for i in range(height):
@@ -185,5 +185,5 @@ def mean_squared_change(a: Array, b: Array) -> float:
             for j in range(width):
                 change = a[c, i, j] - b[c, i, j]
                 row += change * change
-            total += float(row)
+            total += row
     return total / (height * width)

@@ -91,7 +91,7 @@ def figure_files(results: Path, source: Source) -> dict[str, Path]:
         ]
         for path in sorted(paths):
             variant = path.stem.removeprefix(name).removesuffix(ending)
-            if not path.stem.endswith(others) and (not variant or variant.startswith("_")):
+            if not path.stem.endswith(others) and (not variant or variant[0] == "_" != variant[1:2]):
                 found[variant.removeprefix("_")] = path
         if found:
             break

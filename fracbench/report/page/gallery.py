@@ -56,6 +56,8 @@ def scenes(sources: Sources) -> list[Scene]:
     found = []
     for name, entries in _shown(plan, sources):
         frame0, frame1, truth, _ = point_arrays(entries[0][1], plan.folder)
+        if truth is None:
+            continue
         estimates = []
         for label, point in entries:
             flow = read_flow(flow_file(point, cache))

@@ -24,6 +24,8 @@ _LEAD = (
     "gives a verdict on every claim of the paper that can be tested."
 )
 
+_DATA = {"synthetic": "synthetic scenes in place of Middlebury", "middlebury": "Middlebury, 8 sequences"}
+
 
 def write_report(sources: Sources) -> Path:
     """Write the report, ``runs/report.html``, from the stored points; missing ones are named, with their command.
@@ -41,7 +43,7 @@ def page(sources: Sources) -> str:
     rows = background.all_rows(found)
     missing = sum(source.n_missing for source in found)
     facts = [
-        ("Data", "synthetic scenes in place of Middlebury" if sources.stand_in else "Middlebury, 8 sequences"),
+        ("Data", _DATA.get(sources.dataset, f"dataset {sources.dataset} in place of Middlebury")),
         ("Points stored", f"{len(rows)}{f', {missing} missing' if missing else ''}"),
         ("Newest result", background.newest(rows) or "none yet"),
     ]

@@ -188,6 +188,6 @@ def _maps(planned: PlannedPoint, bounds: Mapping[str, Any], data: Path | None) -
 
     frame0, *_ = point_arrays(planned.point, data)
     maps = {"classes": structure_classes(frame0)}
-    maps |= {scope: unpack(text, frame0.shape) for scope, text in bounds["maps"].items()}
+    maps |= {scope: unpack(bounds["maps"][scope], frame0.shape) for scope in ("window", "pixel")}
     name = planned.labels["sequence"]
     return [(name, frame0, scope, orders, bounds["alphas"]) for scope, orders in maps.items()]

@@ -69,7 +69,7 @@ def _frame(sequence: SequenceConfig, plan: Plan) -> tuple[str, NDArray[Any]]:
     name, dataset = sequence.name, sequence.dataset
     if dataset != plan.dataset == "synthetic":
         name, dataset = sequence.stand_in or name, "synthetic"
-    loaded = load_sequence(name, dataset, plan.folder if dataset == "middlebury" else None)
+    loaded = load_sequence(name, dataset, plan.folder)
     title = f"{sequence.name}\n(scene {name})" if name != sequence.name else name
     return title, loaded.frame0 if loaded.frame0_color is None else loaded.frame0_color
 
@@ -95,7 +95,7 @@ def family(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results:
     folder = results / FIGURES
     artefact = Artefact()
     for protocol, part in table.groupby("protocol", sort=False):
-        place = f"{', '.join(part['sequence'].unique())}, " if plan.stand_in else ""
+        place = f"{', '.join(part['sequence'].unique())}, " if plan.stand_in or plan.foreign else ""
         title = f"{experiment.title}\n{place}protocol {protocol}"
         stem = file_stem(f"{experiment.name}_{protocol}", plan, folder)
         artefact.files += draw(stem, line_family, part, x=x, family=hue, title=title, **looks)

@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
+import logging
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from statistics import median
 from typing import Any
 
-from fracbench.errors import InputError, unknown_name
+from fracbench.errors import FracbenchError, InputError, unknown_name
 from fracbench.harness.run.compute_point import point_arrays
 from fracbench.harness.run.plan import make_plan
-from fracbench.methods.registry import get_method
+from fracbench.methods.registry import METHODS, get_method, method_names
 from fracbench.model.params import FlowParams
 from fracbench.model.structure import CLASSES
 
+_log = logging.getLogger(__name__)
+
 #: The contender that ratios are relative to.
 YARDSTICK = "opencv_tvl1"
-_PEERS = (
-    "opencv_tvl1", "opencv_tvl1_deep", "opencv_dis", "opencv_farneback",
-    "skimage_tvl1", "skimage_tvl1_ipol", "skimage_ilk",
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -58,11 +58,14 @@ def _ours() -> list[Contender]:
 
 
 def contenders(only: Sequence[str] = ()) -> list[Contender]:
-    """Return our contenders, then the installed peers; with `only`, those whose names begin so.
+    """Return the contenders: ours, installed peers, methods of other packages; with `only`, those so named.
 
-    A name in `only` that no contender begins with, or whose program is missing, is an `InputError`.
+    A name in `only` that no contender begins with, or that cannot be used, is an `InputError`.
     """
-    everyone = [*_ours(), *(Contender(name, name) for name in _PEERS)]
+    ours = _ours()
+    raced = {contender.method for contender in ours}
+    names = [name for name in dict.fromkeys((*METHODS, *method_names())) if name not in raced]
+    everyone = [*ours, *(Contender(name, name) for name in names)]
     if not only:
         return [contender for contender in everyone if _installed(contender.method)]
     for name in only:
@@ -77,7 +80,9 @@ def contenders(only: Sequence[str] = ()) -> list[Contender]:
 def _installed(method: str) -> bool:
     try:
         get_method(method).require()
-    except InputError:
+    except InputError as exc:
+        if method not in METHODS:
+            _log.warning("%s", exc)
         return False
     return True
 
@@ -102,36 +107,49 @@ def run(
     plan = next(iter(plans.values()))
     seconds: dict[tuple[str, str], list[float]] = {}
     records: dict[tuple[str, str], dict[str, Any]] = {}
+    failed: list[Contender] = []
     peers.opencv_threads = threads
     with use_threads(threads), threadpool_limits(1):
         for round_number in range(repeats + 1):  # round 0 warms up: compilation, caches
             for i, planned in enumerate(plan.points):
                 frame0, frame1, truth, inner = point_arrays(planned.point, plan.folder)
-                for racer in racers:
+                for racer in [racer for racer in racers if racer not in failed]:
                     method = get_method(racer.method)
                     params = _params(racer, plans[racer.protocol].points[i].point.canonical)
                     started = time.perf_counter()
-                    flow = method.estimate(frame0, frame1, params).flow
+                    try:
+                        flow = method.compute(frame0, frame1, params).flow
+                    except FracbenchError as exc:
+                        _log.warning("%s is left out: %s", racer.name, exc)
+                        failed.append(racer)
+                        continue
                     took = time.perf_counter() - started
                     place = (racer.name, planned.labels["sequence"])
                     if round_number == 0:
-                        errors = flow_errors(flow[(slice(None), *inner)], truth[(slice(None), *inner)])
+                        scored = None
+                        if truth is not None:
+                            scored = flow_errors(flow[(slice(None), *inner)], truth[(slice(None), *inner)])
                         records[place] = {
                             "contender": racer.name,
                             "sequence": planned.labels["sequence"],
-                            "aae": errors.aae,
-                            "aepe": errors.aepe,
-                            "n_pixels": errors.n_pixels + errors.n_unknown,
+                            "aae": scored.aae if scored else math.nan,
+                            "aepe": scored.aepe if scored else math.nan,
+                            "n_pixels": flow[(0, *inner)].size,
                         }
                     else:
                         seconds.setdefault(place, []).append(took)
                         on_lap()
-    return [{**record, "seconds": median(seconds[place])} for place, record in records.items()]
+    left = [place for place in records if place[0] not in {racer.name for racer in failed}]
+    if not left:
+        raise FracbenchError("bench: no contender has finished")
+    return [{**records[place], "seconds": median(seconds[place])} for place in left]
 
 
-def _params(racer: Contender, sequence_params: Mapping[str, str]) -> FlowParams:
+def _params(racer: Contender, sequence_params: Mapping[str, str]) -> Any:
     if racer.protocol:
         return FlowParams().replace(sequence_params).replace(racer.params)
     method = get_method(racer.method)
+    if method.params is not FlowParams:
+        return method.replace(method.start(), racer.params)
     table2 = {name: sequence_params[name] for name in ("lambda", "theta", "n_scales", "lambda_sb")}
     return FlowParams().replace(method.defaults).replace(table2).replace(racer.params)

@@ -57,7 +57,8 @@ def convergence_points(experiment: Experiment, plan: Plan) -> list[PlannedPoint]
     same_data = [f"dataset={plan.dataset}"]
     if plan.folder is not None:
         same_data.append(f"paths.data='{plan.folder}'")
-    (planned,) = make_plan((f"region={options['region']}", "protocol=reference", *same_data)).points
+    tokens = (f"region={options['region']}", "protocol=reference", *same_data)
+    planned = make_plan(tokens, allow_download=False).points[0]
     names = ("lambda", "theta", "lambda_sb", "boundary")
     model = {name: planned.point.canonical[name] for name in names}
     limits = tuple((name, options[name]) for name in ("last_gap", "seconds", "iterations", "reference_iterations"))
@@ -85,7 +86,7 @@ def stored_courses(plan: Plan, rows: Mapping[str, Row]) -> tuple[pd.DataFrame, d
     records, literal = [], {}
     for planned in plan.points:
         row, alpha = rows.get(planned.point.key), planned.point.params.alpha
-        if row is not None and row.status == "done":
+        if planned.point.score == "convergence" and row is not None and row.status == "done":
             for name in SOLVERS:
                 records += [(alpha, name, *record) for record in row.result["courses"][name]]
             dense, slow = row.result["sweep_seconds"]

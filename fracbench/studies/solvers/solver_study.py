@@ -12,6 +12,7 @@ import numpy as np
 
 from fracbench.data.files import ensure_folder, write_text
 from fracbench.data.regions import Region
+from fracbench.errors import InputError
 from fracbench.harness.config.experiment import Experiment, load_experiment
 from fracbench.harness.run.plan import Plan, PlannedPoint
 from fracbench.harness.run.point import NO_DATA, Point
@@ -85,13 +86,17 @@ def spectrum_points(experiment: Experiment, plan: Plan) -> list[PlannedPoint]:
     """Return a point for each region and each alpha from 0 to 2: the spectra of the u-system of a square."""
     options = all_options(experiment)
     step, size = options["alpha_step"], options["size"]
-    alphas = np.round(np.arange(0.0, 2.0 + step / 2.0, step), 6)
+    if not step > 0.0:
+        raise InputError(f"experiment {experiment.name}: option 'alpha_step' must be above 0, got {step:g}")
+    alphas = [alpha for alpha in np.round(np.arange(0.0, 2.0 + step / 2.0, step), 6).tolist() if alpha <= 2.0]
     square = Region("square", NO_DATA, (0, size), (0, size))
-    first = {planned.labels["region"]: planned for planned in reversed(plan.points)}
+    first: dict[str, PlannedPoint] = {}
+    for planned in plan.points:
+        first.setdefault(planned.labels["region"], planned)
     points = []
-    for planned in reversed(first.values()):
+    for planned in first.values():
         method, params = planned.point.method, planned.point.params
-        for alpha in alphas.tolist():
+        for alpha in alphas:
             system = {"alpha": alpha, "theta": params.theta, "lambda_sb": params.lambda_sb, "boundary": "zero"}
             point = Point(
                 method,

@@ -52,6 +52,7 @@ def own_conf(tmp_path, monkeypatch) -> Path:
     """A copy of ``conf`` that a test may change."""
     root = tmp_path / "project"
     shutil.copytree(asset("conf"), root / "conf")
+    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(compose, "asset", lambda relative: root / relative)
     compose._compose.cache_clear()
     yield root / "conf"

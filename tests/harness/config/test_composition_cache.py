@@ -20,6 +20,10 @@ def conf(tmp_path, monkeypatch):
     return folder
 
 
+def cached(folder, choices, compose):
+    return cached_composition(sorted(folder.rglob("*.yaml")), choices, compose)
+
+
 class Compose:
     """A function that counts its calls."""
 
@@ -33,32 +37,32 @@ class Compose:
 
 def test_the_second_answer_is_the_first(conf):
     compose = Compose()
-    assert cached_composition(conf, CHOICES, compose) == cached_composition(conf, CHOICES, compose) == compose()
+    assert cached(conf, CHOICES, compose) == cached(conf, CHOICES, compose) == compose()
     assert compose.calls == 2  # one of them is the line above
 
 
 @pytest.mark.parametrize("change", ["config.yaml", "protocol/new.yaml"])
 def test_a_changed_or_new_file_is_seen(conf, change):
     compose = Compose()
-    cached_composition(conf, CHOICES, compose)
+    cached(conf, CHOICES, compose)
     (conf / change).write_text("a: 2\n")
-    cached_composition(conf, CHOICES, compose)
+    cached(conf, CHOICES, compose)
     assert compose.calls == 2
 
 
 def test_other_choices_are_other_compositions(conf):
     compose = Compose()
     for choices in (CHOICES, (), (("protocol", "published"),)):
-        cached_composition(conf, choices, compose)
+        cached(conf, choices, compose)
     assert compose.calls == 3
 
 
 def test_a_broken_or_forbidden_cache_is_done_without(conf, tmp_path, monkeypatch):
     compose = Compose()
-    cached_composition(conf, CHOICES, compose)
+    cached(conf, CHOICES, compose)
     (entry,) = (tmp_path / "deep" / "cache").iterdir()
     entry.write_text('{"params": ')
-    assert cached_composition(conf, CHOICES, compose)["rows"] == [90, 250] and compose.calls == 2
+    assert cached(conf, CHOICES, compose)["rows"] == [90, 250] and compose.calls == 2
     (tmp_path / "deep2").write_text("a file where the folder should be")
     monkeypatch.setattr(composition_cache, "cache_folder", lambda: tmp_path / "deep2" / "cache")
-    assert cached_composition(conf, CHOICES, compose)["rows"] == [90, 250] and compose.calls == 3
+    assert cached(conf, CHOICES, compose)["rows"] == [90, 250] and compose.calls == 3

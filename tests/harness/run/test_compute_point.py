@@ -18,6 +18,7 @@ from fracbench.evaluation.metrics import flow_errors
 from fracbench.harness.run import compute_point
 from fracbench.harness.run.compute_point import point_arrays, run_point
 from fracbench.harness.run.point import Point
+from fracbench.methods.method import Method
 from fracbench.methods.paper import energy_growth
 from fracbench.methods.registry import get_method
 from fracbench.model.coarse_to_fine import FlowResult
@@ -35,7 +36,8 @@ def a_point(method="tvl1", scene="edge", box=None, context=0, digest=None, **val
 
 
 def use_method(monkeypatch, estimate):
-    monkeypatch.setattr(compute_point, "get_method", lambda name: SimpleNamespace(estimate=estimate))
+    method = Method("fake", "fake", "fake", estimate, frame_dtype=None)
+    monkeypatch.setattr(compute_point, "get_method", lambda name: method)
     monkeypatch.setattr(compute_point, "_warmed", set())
 
 
@@ -241,12 +243,14 @@ def test_data_that_changed_since_they_were_planned_are_not_computed_on():
     assert "sequence edge: the data changed while the sweep was running" in outcome.error
 
 
-def test_a_sequence_without_truth_cannot_be_scored(monkeypatch):
+def test_a_sequence_without_truth_has_a_flow_and_no_errors(monkeypatch):
     frame = np.zeros((9, 9))
     bare = FramePair("edge", "synthetic", frame, frame, None, synthetic.digest("edge"))
     monkeypatch.setattr(compute_point, "_sequence", lambda *_: bare)
     outcome = run_point(a_point(), None)
-    assert (outcome.status, outcome.error) == ("failed", "sequence edge: has no true flow to compare with")
+    assert (outcome.status, outcome.error) == ("done", None)
+    assert outcome.result["n_unknown"] == 81 and outcome.result["n_pixels"] == 0
+    assert not {"aae", "aepe", "sdae", "fl_all"} & set(outcome.result)
 
 
 # -- rendered scenes and classes of pixels -------------------------------------------------------

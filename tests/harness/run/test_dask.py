@@ -10,10 +10,12 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("distributed", reason="needs the extra `dask`")
 
+from fracbench.data.files import write_image
 from fracbench.errors import DataError, FracbenchError, InputError
 from fracbench.harness.run import compute_point, dask, sweep
 from fracbench.harness.run.message import Job
@@ -189,6 +191,17 @@ def test_real_data_are_sent_to_workers_that_have_none(running, store, middlebury
     made = make_plan([*tokens, "parallel=dask", f"parallel.address={running.address}"])
     report = sweep.run(made, store, jobs=1)
     assert [row.status for row in report.rows.values()] == ["done"]
+
+
+def test_files_of_ones_own_are_sent_to_workers(running, store, tmp_path):
+    scene = tmp_path / "training/clean/alley_1"
+    scene.mkdir(parents=True)
+    for number in (1, 2, 3):
+        write_image(scene / f"frame_{number:04d}.png", np.eye(24, dtype=np.uint8) * 80 * number)
+    tokens = ["dataset=sintel", f"paths.data={tmp_path}", "n_scales=1", "n_warps=1", "max_iter=1"]
+    made = make_plan([*tokens, "parallel=dask", f"parallel.address={running.address}"])
+    report = sweep.run(made, store, jobs=1)
+    assert [(row.status, row.error) for row in report.rows.values()] == [("done", None)] * 2
 
 
 def test_points_under_way_end_with_the_sweep(running, store, monkeypatch, tmp_path):

@@ -16,7 +16,6 @@ from fracbench.data.datasets.middlebury import SEQUENCES, Resolved
 from fracbench.data.datasets.synthetic import scenes as synthetic
 from fracbench.errors import InputError
 from fracbench.harness.config.compose import group_options, load_config
-from fracbench.harness.run import plan as plan_module
 from fracbench.harness.run import point as point_module
 from fracbench.harness.run.plan import Plan, make_plan, plan_experiment
 from fracbench.harness.run.point import canonical_value
@@ -66,9 +65,7 @@ def middlebury_found(monkeypatch):
         middlebury_data, "_look_up", lambda explicit: middlebury_data.Location(Path("m"), "test", 24)
     )
     monkeypatch.setattr(middlebury_data, "digest", lambda sequence, folder: f"{folder}/{sequence}")
-    plan_module._digest.cache_clear()
     yield
-    plan_module._digest.cache_clear()
 
 
 # -- which points --------------------------------------------------------------------------------
@@ -205,9 +202,10 @@ def test_what_came_later_is_in_no_key_where_it_is_off():
     """Keys of results that were stored before there was such a parameter stay as they were."""
     usual = FlowParams().as_dict()
     (planned,) = plan(FLAT, "method=tvl1_sb_alpha_map").points
-    for name, value in point_module._YOUNGER.items():
-        assert canonical_value(usual[name]) == planned.point.canonical[name] == value
-    older = get_method("tvl1_sb_alpha_map").uses - point_module._YOUNGER.keys()
+    younger = get_method("tvl1_sb_alpha_map").younger
+    for name, value in younger.items():
+        assert usual[name] == value and planned.point.canonical[name] == canonical_value(value)
+    older = get_method("tvl1_sb_alpha_map").uses - younger.keys()
     assert set(planned.point.spec["params"]) == older
     (both,) = plan(FLAT, "method=tvl1_sb_alpha_map", "texture=0.95", "finest_scale=1").points
     assert set(both.point.spec["params"]) == older | {"texture", "finest_scale"}
@@ -229,10 +227,8 @@ def test_a_key_changes_with_whatever_else_matters(middlebury_found):
 
 def test_a_key_changes_with_the_content_of_the_data(middlebury_found, monkeypatch):
     base = key("sequence=grove2")
-    plan_module._digest.cache_clear()
     assert key("sequence=grove2") == base
     monkeypatch.setattr(middlebury_data, "digest", lambda sequence, folder: "another")
-    plan_module._digest.cache_clear()
     changed = plan("sequence=grove2").points[0].point
     assert changed.key != base
     assert changed.identity == dataclasses.replace(changed, data_digest="x").identity

@@ -63,7 +63,7 @@ def test_every_point_is_counted_once(mini, fake_rows, monkeypatch):
 
 def test_data_that_changed_make_points_stale(mini, fake_rows, monkeypatch):
     fill(mini, fake_rows, done=5)
-    monkeypatch.setattr(plan, "_digest", lambda *_: "other data")
+    monkeypatch.setattr(plan, "digest_of", lambda *_, **__: "other data")
     found = stand()
     assert (found.done, found.stale, found.why) == (0, 5, {"data changed": 5})
 

@@ -249,7 +249,7 @@ def test_pictures_show_the_classes_and_the_maps_of_the_row(work, experiment, fak
     for each in plan.points:
         if each.point.score == "oracle":
             shape = point_arrays(each.point, None)[0].shape
-            maps = {scope: np.full(shape, k, np.uint8) for k, scope in enumerate(("window", "pixel"))}
+            maps = {scope: np.full(shape, k, np.uint8) for k, scope in enumerate(("pixel", "window"))}
             result = {**oracle(), "maps": {scope: pack(orders) for scope, orders in maps.items()}}
             rows[each.point.key] = dataclasses.replace(rows[each.point.key], result=result)
     monkeypatch.setattr("fracbench.figures.cache.draw", lambda stem, panel, items, **_: shown.extend(items) or [])

@@ -14,7 +14,6 @@ from fracbench.data.datasets.synthetic.scenes import scene
 from fracbench.errors import InputError
 from fracbench.figures import curves, pictures
 from fracbench.harness.config.experiment import Experiment, load_experiment
-from fracbench.harness.run import plan as plan_module
 from fracbench.harness.run.plan import plan_experiment
 from fracbench.model.params import FlowParams
 from fracbench.studies.paper.table1 import parameter_table
@@ -39,9 +38,7 @@ def found(monkeypatch):
     place = middlebury_data.Location(Path("m"), "test", 24)
     monkeypatch.setattr(middlebury_data, "_look_up", lambda explicit: place)
     monkeypatch.setattr(middlebury_data, "digest", lambda sequence, folder: sequence)
-    plan_module._digest.cache_clear()
     yield
-    plan_module._digest.cache_clear()
 
 
 def whole(*names: str):
