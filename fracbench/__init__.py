@@ -10,14 +10,18 @@ if TYPE_CHECKING:
     from fracbench.data.pair import FramePair
     from fracbench.methods.method import Method
     from fracbench.model.coarse_to_fine import FlowResult
+    from fracbench.model.confidence import Confidence
     from fracbench.model.params import FlowParams
 
 __version__ = "0.1.0"
-__all__ = ["Dataset", "FlowParams", "FlowResult", "FramePair", "Method", "__version__", "estimate_flow"]
+__all__ = [
+    "Confidence", "Dataset", "FlowParams", "FlowResult", "FramePair", "Method", "__version__", "estimate_flow"
+]  # fmt: skip
 
 _HOMES = {
     "estimate_flow": "fracbench.api",
     "FlowResult": "fracbench.model.coarse_to_fine",
+    "Confidence": "fracbench.model.confidence",
     "FlowParams": "fracbench.model.params",
     "Method": "fracbench.methods.method",
     "Dataset": "fracbench.data.datasets.base",

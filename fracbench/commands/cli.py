@@ -165,6 +165,9 @@ def _add_flows(add: _Add) -> None:
     )
     estimate.add_argument("--color", help="colour picture (default: beside the flow, NAME.color.png)", **file)
     estimate.add_argument("--truth", help="true flow, .flo or KITTI's .png; prints the errors", **file)
+    estimate.add_argument("--mask", help="picture that is not black where the frames' pixels do not count", **file)
+    estimate.add_argument("--initial-flow", help="flow to start from, .flo or KITTI's .png", **file)
+    estimate.add_argument("--confidence", help="picture of the trust in each pixel; doubles the time", **file)
     estimate.add_argument("--threads", type=int, default=1, metavar="N", help="number of threads (default: 1)")
     estimate.add_argument("--method", metavar="NAME", help="name of a method, see fracbench methods")
 
@@ -302,14 +305,17 @@ def _run(arguments: argparse.Namespace) -> None:
 
 
 def _estimate(arguments: argparse.Namespace) -> None:
-    from fracbench.commands import run
+    from fracbench.commands.estimate import estimate_pair
 
-    run.estimate_pair(
+    estimate_pair(
         arguments.frame0,
         arguments.frame1,
         arguments.output,
         color=arguments.color,
         truth=arguments.truth,
+        mask=arguments.mask,
+        initial_flow=arguments.initial_flow,
+        confidence=arguments.confidence,
         method=arguments.method,
         threads=arguments.threads,
         overrides=arguments.overrides,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -182,7 +181,7 @@ def run_point(tokens: Sequence[str]) -> None:
     flow = result.flow[(slice(None), *inner)]
     place = planned.labels["sequence" if point.region is None else "region"]
     name = f"{place}_{point.method}_{point.key[:8]}"
-    _say_result(result)
+    say_result(result)
     if truth is not None:
         say_errors(flow, truth[(slice(None), *inner)])
     output = folder / f"{name}.flo"
@@ -190,70 +189,8 @@ def run_point(tokens: Sequence[str]) -> None:
     _say_settings(plan)
 
 
-def estimate_pair(
-    frame0: Path,
-    frame1: Path,
-    output: Path,
-    *,
-    color: Path | None = None,
-    truth: Path | None = None,
-    method: str | None = None,
-    threads: int = 1,
-    overrides: Sequence[str] = (),
-) -> None:
-    """Compute the flow between two image files; write it (``.flo``, or KITTI's ``.png``) and its colour picture.
-
-    The errors are printed if the true flow is given. `method` is by default that of the protocol in `overrides`.
-    """
-    from fracbench.api import DEFAULT_PROTOCOL, estimate_flow, settings_of
-    from fracbench.data.files import read_flow, read_image
-    from fracbench.data.gray import to_gray
-    from fracbench.model.coarse_to_fine import check_frames
-
-    grid = parse_overrides(overrides)
-    if grid.size > 1:
-        raise InputError(f"estimate takes one value a parameter ({' '.join(overrides)}); use sweep for grids")
-    given: dict[str, Any] = next(grid.points())
-    protocol = given.pop("protocol", DEFAULT_PROTOCOL)
-    chosen, settings = settings_of(protocol, method, given)  # which refuses what is wrong before anything is read
-    picture = color or picture_beside(output)
-    _require_outputs(output, picture, [path for path in (frame0, frame1, truth) if path is not None])
-    first, second = read_image(frame0), read_image(frame1)
-    expected = None if truth is None else read_flow(truth)
-    if expected is not None and expected.shape[1:] != first.shape[:2]:
-        raise InputError(
-            f"{truth}: the true flow is {expected.shape[2]} x {expected.shape[1]}, the frames are "
-            f"{first.shape[1]} x {first.shape[0]} (width x height)"
-        )
-    check_frames(to_gray(first, name="frame0"), to_gray(second, name="frame1"))
-    compile_for([(chosen.name, settings)])
-    result = estimate_flow(first, second, protocol=protocol, method=method, threads=threads, **given)
-    changes = " ".join(token for token in overrides if token != f"protocol={protocol}")
-    _say_result(result, f"preset {protocol} with {changes}" if changes else f"preset {protocol}")
-    if expected is not None:
-        say_errors(result.flow, expected)
-    write_flow_and_picture(result.flow, output, picture)
-
-
-def _require_outputs(output: Path, picture: Path, inputs: Sequence[Path]) -> None:
-    """Refuse an output that cannot be written, or that would replace an input, before anything is computed."""
-    from PIL import Image
-
-    if output.suffix.lower() not in (".flo", ".png"):
-        raise InputError(f"{output}: a flow is written as .flo or as .png (KITTI), not as {output.suffix!r}")
-    if picture.suffix.lower() not in Image.registered_extensions():
-        raise InputError(f"{picture}: no picture format has the suffix {picture.suffix!r}; use .png")
-    taken = {path.resolve() for path in inputs}
-    for path in (output, picture):
-        # Path.is_dir raises where a parent may not be entered
-        if not (os.path.isdir(path.parent) and os.access(path.parent, os.W_OK)):  # noqa: PTH112
-            raise InputError(f"{path}: {str(path.parent)!r} is not a folder that can be written to")
-        if path.resolve() in taken:
-            raise InputError(f"{path}: the command names this file twice; choose another output")
-        taken.add(path.resolve())
-
-
-def _say_result(result: FlowResult, preset: str = "") -> None:
+def say_result(result: FlowResult, preset: str = "") -> None:
+    """Print notices, method, iterations, seconds and the end of a computation; refuse a flow that diverged."""
     for notice in result.notices:
         console.note(f"note: {notice}")
     if result.stop_reason == "diverged":
@@ -261,7 +198,7 @@ def _say_result(result: FlowResult, preset: str = "") -> None:
     iterations = sum(map(sum, result.iterations))
     seconds = sum(result.seconds.values())
     using = f"{result.method} ({preset})" if preset else result.method
-    console.say(f"{using}: {iterations} iterations, {result.stop_reason}, {seconds:.2f} s")
+    console.say(f"{using}: {iterations} iterations, {seconds:.2f} s; {result.ending}")
 
 
 def say_errors(flow: Any, truth: Any) -> None:

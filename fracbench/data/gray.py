@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from fracbench.errors import InputError
 
 
-def to_gray(image: Any, name: str = "frame") -> NDArray[np.floating[Any]]:
+def to_gray(image: Any, name: str = "frame", *, nan: bool = False) -> NDArray[np.floating[Any]]:
     """Turn a gray or colour picture into one plane of gray levels.
 
     Integer colour gives ``floor(0.299 R + 0.587 G + 0.114 B)`` in exact integer arithmetic, which is
@@ -23,6 +23,8 @@ def to_gray(image: Any, name: str = "frame") -> NDArray[np.floating[Any]]:
         (alpha) is ignored. Gray levels are kept as they are, whatever their range. Never changed.
     name : str, optional
         What messages call the picture.
+    nan : bool, optional
+        Accept pixels that are NaN, in a picture of floating type; they stay NaN.
 
     Returns
     -------
@@ -30,7 +32,7 @@ def to_gray(image: Any, name: str = "frame") -> NDArray[np.floating[Any]]:
         A new, C-contiguous array; float32 for integers of up to 16 bits, which it holds exactly.
     """
     planes = _planes(_real_array(image, name), name)
-    _require_finite(planes, name)
+    _require_finite(planes, name, nan)
     dtype = np.float32 if planes.dtype.kind in "iub" and planes.dtype.itemsize <= 2 else np.float64
     if planes.shape[2] == 1:
         return np.array(planes[..., 0], dtype=dtype, order="C")
@@ -69,13 +71,13 @@ def _planes(array: NDArray[Any], name: str) -> NDArray[Any]:
     return array[..., :3]
 
 
-def _require_finite(planes: NDArray[Any], name: str) -> None:
+def _require_finite(planes: NDArray[Any], name: str, nan: bool) -> None:
     if not _is_float(planes):
         return
-    bad = ~np.isfinite(planes).all(axis=2)
+    bad = np.isinf(planes).any(axis=2) if nan else ~np.isfinite(planes).all(axis=2)
     if bad.any():
         row, col = np.argwhere(bad)[0]
         raise InputError(
-            f"{name}: {int(bad.sum())} of {bad.size} pixels are NaN or infinite, "
+            f"{name}: {int(bad.sum())} of {bad.size} pixels are {'infinite' if nan else 'NaN or infinite'}, "
             f"the first at row {row}, column {col}"
         )

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Unpack
 
 import numpy as np
 
 from fracbench.errors import InputError
 from fracbench.methods.paper import split_bregman, v_step
 from fracbench.model import pyramid
-from fracbench.model.coarse_to_fine import FlowResult, check_frames, coarse_to_fine
+from fracbench.model.coarse_to_fine import FlowResult, RunOptions, check_frames, coarse_to_fine
 from fracbench.model.data_terms.choose import residual_factory
+from fracbench.model.data_terms.masked import without_masked
 from fracbench.model.flow_filters import flow_filter
 from fracbench.model.kernels.arrays import Array
 from fracbench.model.operators.alpha_map import MappedGradient
@@ -20,14 +22,17 @@ from fracbench.model.structure import CLASSES, structure_classes
 from fracbench.model.v_steps import VStep, channel_step
 
 
-def tvl1_sb_alpha_map(frame0: Array, frame1: Array, params: FlowParams, *, trace: bool = False) -> FlowResult:
+def tvl1_sb_alpha_map(
+    frame0: Array, frame1: Array, params: FlowParams, **options: Unpack[RunOptions]
+) -> FlowResult:
     """Compute flow with one order for each class of structure, and the extensions that `params` ask for.
 
     The classes are `structure_classes` of frame 0 at each scale.
     """
-    if trace and params.lambda_gradient:
+    if options.get("trace") and params.lambda_gradient:
         raise InputError("`trace` needs lambda_gradient=0: the energy that it records is the paper's")
     check_frames(frame0, frame1)
+    frame0, frame1 = without_masked(frame0, frame1, options.get("mask"))
     return coarse_to_fine(
         frame0,
         frame1,
@@ -37,7 +42,7 @@ def tvl1_sb_alpha_map(frame0: Array, frame1: Array, params: FlowParams, *, trace
         make_residual=residual_factory(frame0, frame1, params),
         make_flow_filter=flow_filter,
         method="tvl1_sb_alpha_map",
-        trace=trace,
+        **options,
     )
 
 

@@ -26,7 +26,10 @@ RESERVED = frozenset({
     "method", "sequence", "region", "protocol", "parallel", "dataset", "context", "shift", "score", "margin",
     "noise", "seed", "paths", "params", "part", "aae", "aepe", "sdae", "n_pixels", "n_unknown", "n_nonfinite",
     "iterations", "inner_iterations", "stop", "status", "error", "key", "frame0", "frame1", "trace", "threads",
+    "mask", "initial_flow", "confidence",
 })  # fmt: skip
+#: Arguments of `estimate_flow` that a method may take.
+_OPTIONS = frozenset({"mask", "initial_flow"})
 _ALL: Any = None
 _NAME = re.compile(r"[A-Za-z]\w{0,79}", re.ASCII)
 
@@ -60,6 +63,9 @@ class Method:
         Parameters that came after results were stored: at the value given here they are no part of a key.
     requires : tuple of str
         Modules of other programs.
+    options : frozenset of str
+        Further arguments that `estimate` takes by name where they are given: ``mask``, an array of bool, (H, W) or
+        (2, H, W), true where a pixel does not count, and ``initial_flow``, (2, H, W) in pixels.
     frame_dtype : str or None
         Type of the frames that `estimate` gets, which are copies; None: the frames as they are loaded.
     package, release : str
@@ -76,6 +82,7 @@ class Method:
     defaults: Mapping[str, Any] = field(default_factory=dict)
     younger: Mapping[str, Any] = field(default_factory=dict)
     requires: tuple[str, ...] = ()
+    options: frozenset[str] = frozenset()
     frame_dtype: str | None = "float32"
     package: str = ""
     release: str = ""
@@ -92,6 +99,8 @@ class Method:
         if self.params is not FlowParams:
             _check_params(self.params, f"method {self.name!r}: `params`")
         object.__setattr__(self, "uses", frozenset(self.names if self.uses is _ALL else self.uses))
+        for name in self.options - _OPTIONS:
+            raise unknown_name("option", name, _OPTIONS, f"method {self.name!r}")
         for name in self.uses.union(self.younger).difference(self.names):
             raise unknown_name("parameter", name, self.names, f"method {self.name!r}")
         self.start()
@@ -173,7 +182,7 @@ class Method:
                 raise InputError(f"method {self.name!r} needs {module}: {remedy}")
         return self
 
-    def compute(self, frame0: Any, frame1: Any, params: Any, *, trace: bool = False) -> FlowResult:
+    def compute(self, frame0: Any, frame1: Any, params: Any, *, trace: bool = False, **options: Any) -> FlowResult:
         """Compute the flow between two gray frames, and check it.
 
         Parameters
@@ -184,11 +193,14 @@ class Method:
             Parameters of the method; a mapping holds the fields of its dataclass.
         trace : bool, optional
             Record the energy after each iteration.
+        **options
+            Those that the method takes: see `Method`.
 
         Raises
         ------
         FracbenchError
-            The function of a package raises, or returns no flow of the frames' size, or one that is not finite.
+            An option that the method does not take. The function of a package raises, or returns no flow of the
+            frames' size, or one that is not finite.
         """
         import numpy as np
 
@@ -196,12 +208,15 @@ class Method:
 
         if trace and self.params is not FlowParams:
             raise InputError(f"method {self.name!r} records no energy: `trace` is for the methods with FlowParams")
+        for name in options:
+            if name not in self.options:
+                raise InputError(f"method {self.name!r} takes no `{name}`")
         params = self.restored(params)
         if self.frame_dtype is not None:
             frame0, frame1 = np.array(frame0, self.frame_dtype), np.array(frame1, self.frame_dtype)
         shape, started = frame0.shape, time.perf_counter()
         try:
-            found = self.estimate(frame0, frame1, params, **({"trace": True} if trace else {}))
+            found = self.estimate(frame0, frame1, params, **options, **({"trace": True} if trace else {}))
         except FracbenchError:
             raise
         except (Exception, SystemExit) as exc:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import Unpack
 
 import numpy as np
 
 from fracbench.model import pyramid
-from fracbench.model.coarse_to_fine import FlowResult, coarse_to_fine
+from fracbench.model.coarse_to_fine import FlowResult, RunOptions, coarse_to_fine
 from fracbench.model.energy import regularity
 from fracbench.model.kernels.arrays import Array
 from fracbench.model.operators.base import GradientOperator
@@ -18,19 +19,19 @@ from fracbench.model.regularizers import Regularizer, SplitBregman, TVDual
 from fracbench.model.v_steps import MultiplierStep, PenaltyStep, VStep
 
 
-def tvl1(frame0: Array, frame1: Array, params: FlowParams, *, trace: bool = False) -> FlowResult:
+def tvl1(frame0: Array, frame1: Array, params: FlowParams, **options: Unpack[RunOptions]) -> FlowResult:
     """Compute TV-L1 flow; see `fracbench.methods.registry.Method` for the signature."""
-    return coarse_to_fine(frame0, frame1, params, _tv_dual, method="tvl1", trace=trace)
+    return coarse_to_fine(frame0, frame1, params, _tv_dual, method="tvl1", **options)
 
 
-def tvl1_sb(frame0: Array, frame1: Array, params: FlowParams, *, trace: bool = False) -> FlowResult:
+def tvl1_sb(frame0: Array, frame1: Array, params: FlowParams, **options: Unpack[RunOptions]) -> FlowResult:
     """Compute TV-L1-SB flow (Algorithm 3)."""
-    return coarse_to_fine(frame0, frame1, params, _split_bregman, v_step, method="tvl1_sb", trace=trace)
+    return coarse_to_fine(frame0, frame1, params, _split_bregman, v_step, method="tvl1_sb", **options)
 
 
-def tvl1_sb_alpha(frame0: Array, frame1: Array, params: FlowParams, *, trace: bool = False) -> FlowResult:
+def tvl1_sb_alpha(frame0: Array, frame1: Array, params: FlowParams, **options: Unpack[RunOptions]) -> FlowResult:
     """Compute TV-L1-SB-alpha flow (Algorithm 4)."""
-    return coarse_to_fine(frame0, frame1, params, split_bregman_alpha, v_step, method="tvl1_sb_alpha", trace=trace)
+    return coarse_to_fine(frame0, frame1, params, split_bregman_alpha, v_step, method="tvl1_sb_alpha", **options)
 
 
 def v_step(like: Array, params: FlowParams) -> VStep:

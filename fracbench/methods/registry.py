@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import importlib
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import lru_cache, partial
 from typing import Any
 
@@ -30,6 +30,7 @@ _PYRAMID = frozenset(FlowParams.names()) - _BEYOND - {
 }  # fmt: skip
 # For cheap iterations of little progress; the default of six is for the exact u-step.
 _SMALL_STEPS = {"epsilon": 0.02, "max_iter": 300, "n_warps": 5}
+_OPTIONS = frozenset({"mask", "initial_flow"})
 _BREGMAN = frozenset(FlowParams.names()) - _BEYOND - {"alpha", "boundary", "pad", "tau"}
 
 METHODS: dict[str, Method] = {}
@@ -85,10 +86,29 @@ def all_methods() -> tuple[list[Method], list[str]]:
     return found, unusable
 
 
-def _ours(name: str, label: str, summary: str, module: str, uses: frozenset[str], **more: Any) -> Method:
+def _ours(
+    name: str,
+    label: str,
+    summary: str,
+    module: str,
+    uses: frozenset[str],
+    *,
+    defaults: Mapping[str, Any] | None = None,
+    younger: Mapping[str, Any] | None = None,
+) -> Method:
     """Return a method of this package, whose module is imported with its first call."""
     estimate = partial(_imported, f"fracbench.methods.{module}", name)
-    return Method(name, label, summary, estimate, uses=uses, frame_dtype=None, **more)
+    return Method(
+        name,
+        label,
+        summary,
+        estimate,
+        uses=uses,
+        defaults=defaults or {},
+        younger={"finest_scale": 0, **(younger or {})},
+        options=_OPTIONS,
+        frame_dtype=None,
+    )
 
 
 def _imported(module: str, function: str, *frames: Any, **settings: Any) -> Any:

@@ -5,12 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TypedDict
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fracbench.errors import InputError
 from fracbench.model import pyramid
+from fracbench.model.confidence import Confidence
 from fracbench.model.data_terms.brightness import Brightness, Residual
+from fracbench.model.data_terms.masked import Masked, valid_shares, without_masked
 from fracbench.model.kernels.arrays import Array, aligned
 from fracbench.model.kernels.threads import parallel_map, worth_threads
 from fracbench.model.params import FlowParams
@@ -18,10 +22,21 @@ from fracbench.model.regularizers import Regularizer
 from fracbench.model.single_level import LevelReport, Stopwatch, solve_single_level
 from fracbench.model.v_steps import PenaltyStep, VStep
 
+#: Components of this size and above mark a pixel of unknown flow in files.
+UNKNOWN = 1e9
+
 RegularizerFactory = Callable[[FlowParams, Array], Regularizer]
 VStepFactory = Callable[[Array, FlowParams], VStep]
 ResidualFactory = Callable[[Array, Array, FlowParams], Residual]
 FlowFilterFactory = Callable[[Array, Array, FlowParams], Callable[[Array], Array] | None]
+
+
+class RunOptions(TypedDict, total=False):
+    """The keyword arguments that a method hands on to `coarse_to_fine`, for each pair of frames anew."""
+
+    trace: bool
+    mask: NDArray[np.bool_] | None
+    initial_flow: Array | None
 
 
 @dataclass
@@ -41,6 +56,8 @@ class FlowResult:
         Wall-clock seconds by phase.
     notices : list of str
         Notices for the user, e.g. that the image allows fewer scales than `n_scales`.
+    confidence : Confidence or None
+        The forward-backward check, where it was asked for.
     """
 
     flow: Array
@@ -49,6 +66,7 @@ class FlowResult:
     levels: list[LevelReport] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
     notices: list[str] = field(default_factory=list)
+    confidence: Confidence | None = None
 
     @property
     def iterations(self) -> list[list[int]]:
@@ -68,6 +86,20 @@ class FlowResult:
             return "not told"
         return "max_iter" if "max_iter" in reasons else "converged"
 
+    @property
+    def ending(self) -> str:
+        """The end of the computation in words: warps that reached the limit of iterations, and the last change."""
+        if self.stop_reason == "diverged":
+            return "diverged"
+        if not self.levels:
+            return "the method does not report how it ended"
+        stops = [reason for level in self.levels for reason in level.stop]
+        limited, last = stops.count("max_iter"), self.levels[-1]
+        change = last.change[-1] * self.flow.shape[2] / last.shape[1]
+        warps = f"all {len(stops)} warps" if limited in (0, len(stops)) else f"{limited} of {len(stops)} warps"
+        ended = f"reached the limit of {self.params.max_iter} iterations" if limited else "converged"
+        return f"{warps} {ended}; the last iteration changed the flow by {change:.2g} px"
+
 
 def coarse_to_fine(
     frame0: Array,
@@ -80,6 +112,8 @@ def coarse_to_fine(
     make_flow_filter: FlowFilterFactory | None = None,
     method: str = "",
     trace: bool = False,
+    mask: NDArray[np.bool_] | None = None,
+    initial_flow: Array | None = None,
 ) -> FlowResult:
     """Run Algorithm 1: stretch, smooth, build the pyramids, solve from the coarsest scale to the finest.
 
@@ -96,29 +130,42 @@ def coarse_to_fine(
         Name for the result.
     trace : bool, optional
         Record the energy after each iteration (slow).
+    mask : ndarray of bool, shape (H, W) or (2, H, W), optional
+        True at the pixels of both frames, or of frame 0 and frame 1, whose values do not count.
+    initial_flow : ndarray, shape (2, H, W), optional
+        Flow, pixels, to start from at the coarsest scale, in place of 0; see `pyramid.downsample_flow`.
 
     Raises
     ------
     InputError
-        Frames of different or too small size.
+        Frames of different or too small size; a mask or an initial flow of another shape or type, or without data.
     """
     check_frames(frame0, frame1)
+    if initial_flow is not None:
+        check_initial_flow(initial_flow, frame0.shape)
     watch = Stopwatch()
     dtype = np.dtype(params.dtype)
     shapes = pyramid.scale_shapes(frame0.shape, params.eta, params.n_scales)
+    frame0, frame1 = without_masked(frame0, frame1, mask)
+    shares = None if mask is None else valid_shares(mask, shapes, params.eta, dtype)
     pyramids = parallel_map(
         lambda frame: pyramid.build(pyramid.smooth(frame, params.presmoothing), shapes, params.eta),
         pyramid.stretch(frame0, frame1, dtype),
     )
     watch.lap("pyramid")
     flow = aligned((2, *shapes[-1]), dtype)
+    if initial_flow is not None:
+        flow[...] = pyramid.downsample_flow(initial_flow.astype(dtype), shapes, params.eta)
     levels: list[LevelReport] = []
-    for s in reversed(range(len(shapes))):
+    finest = min(params.finest_scale, len(shapes) - 1)
+    for s in reversed(range(finest, len(shapes))):
         with worth_threads(math.prod(shapes[s])):
             if s < len(shapes) - 1:
                 flow = pyramid.upsample_flow(flow, shapes[s], params.upsample_gain)
             frames = pyramids[0].pop(), pyramids[1].pop()
             residual, v_step = make_residual(*frames, params), make_v_step(flow, params)
+            if shares is not None:
+                residual = Masked(residual, shares[0].pop(), shares[1].pop())
             regularizer = make_regularizer(params, frames[0])
             filter_flow = make_flow_filter(*frames, params) if make_flow_filter else None
             del frames  # free the memory of frames that no part has kept
@@ -128,6 +175,9 @@ def coarse_to_fine(
             )
             levels.append(report)
             del residual, v_step, regularizer, filter_flow  # before those of the next scale are made
+    if finest:
+        flow = pyramid.upsample_flow(flow, shapes[0])
+        watch.lap("upsampling")
     return FlowResult(
         np.asarray(flow, np.float32), method, params, levels, dict(watch.seconds), _notices(params, shapes)
     )
@@ -143,14 +193,30 @@ def check_frames(frame0: Array, frame1: Array) -> None:
         raise InputError(f"frames of {_size(frame0.shape)} pixels are too small: at least {least} are needed")
 
 
+def check_initial_flow(flow: Array, shape: tuple[int, ...]) -> None:
+    """Refuse a flow that is not of the frames' `shape`, or has values that are NaN, infinite or marked unknown."""
+    if flow.shape != (2, *shape):
+        raise InputError(f"`initial_flow`: shape {flow.shape} given, {(2, *shape)} needed")
+    bad = ~(np.abs(flow) < UNKNOWN).all(axis=0)
+    if bad.any():
+        row, column = np.argwhere(bad)[0]
+        raise InputError(
+            f"`initial_flow`: {int(bad.sum())} of {bad.size} pixels are NaN, infinite or unknown, "
+            f"the first at row {row}, column {column}"
+        )
+
+
 def _size(shape: tuple[int, ...]) -> str:
     return " x ".join(str(n) for n in reversed(shape))
 
 
 def _notices(params: FlowParams, shapes: list[tuple[int, int]]) -> list[str]:
-    if params.n_scales is None or len(shapes) == params.n_scales:
-        return []
-    return [
-        f"n_scales reduced from {params.n_scales} to {len(shapes)}: "
-        f"the coarsest image would be smaller than the smallest useful one ({_size(shapes[0])} pixels given)"
-    ]
+    notices = []
+    if params.n_scales is not None and len(shapes) < params.n_scales:
+        notices.append(
+            f"n_scales reduced from {params.n_scales} to {len(shapes)}: "
+            f"the coarsest image would be smaller than the smallest useful one ({_size(shapes[0])} pixels given)"
+        )
+    if params.finest_scale >= len(shapes):
+        notices.append(f"finest_scale reduced from {params.finest_scale} to {len(shapes) - 1}, the coarsest scale")
+    return notices

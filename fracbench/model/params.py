@@ -72,6 +72,8 @@ class FlowParams:
     eta: float = _param(0.5, "downsampling factor of the pyramid", r"\eta", "0.5", low=0.1, high=0.95)
     n_scales: int | None = _param(None, "number of scales; auto: as many as the image allows", r"N_{scales}",
                                   "[3, 5] (Table 2: 4 to 6)", low=1)
+    finest_scale: int = _param(0, "finest scale that is computed; its flow is upsampled; 0: the frames themselves",
+                               paper_range="(0)", low=0)
     n_warps: int = _param(4, "number of warps (linearisations) per scale", r"N_{warps}", "[3, 5]", low=1)
     max_iter: int = _param(6, "largest number of iterations per warp", r"N_{maxitr}", "not given", low=1)
     presmoothing: float = _param(0.6, "standard deviation of the Gaussian on both frames, pixels",

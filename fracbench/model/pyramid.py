@@ -114,6 +114,17 @@ def build(image: Array, shapes: list[tuple[int, int]], eta: float) -> list[Array
     return levels
 
 
+def downsample_flow(flow: Array, shapes: list[tuple[int, int]], eta: float) -> Array:
+    """Return a flow (2, H, W) of the frames as the flow of the coarsest of the sizes `shapes`, in its pixels.
+
+    It goes down the scales as the images do (`build`); the components are multiplied by the ratios of the sizes.
+    """
+    (height, width), (h, w) = shapes[0], shapes[-1]
+    coarse = np.stack([build(np.ascontiguousarray(component), shapes, eta)[-1] for component in flow])
+    coarse *= np.array([[[w / width]], [[h / height]]], flow.dtype)
+    return coarse
+
+
 def upsample_flow(flow: Array, shape: tuple[int, int], gain: float | None = None) -> Array:
     """Return a flow (2, h, w), in pixels of its scale, as the flow (2, H, W) of a finer scale of size `shape`.
 

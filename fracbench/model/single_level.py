@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import defaultdict
 from collections.abc import Callable
@@ -33,6 +34,8 @@ class LevelReport:
         Iterations of the u-step's inner loop; the sum over both components if it starts cold.
     stop : list of str
         ``"converged"``, ``"max_iter"`` or ``"diverged"``.
+    change : list of float
+        Root mean squared change of the flow in the last iteration, pixels of the scale.
     energy : list of list of float
         E(u, v) after each iteration, at the best v for its u; empty unless traced.
     """
@@ -41,6 +44,7 @@ class LevelReport:
     iterations: list[int] = field(default_factory=list)
     inner_iterations: list[int] = field(default_factory=list)
     stop: list[str] = field(default_factory=list)
+    change: list[float] = field(default_factory=list)
     energy: list[list[float]] = field(default_factory=list)
 
 
@@ -106,7 +110,7 @@ def _alternate(
 ) -> tuple[Array, Array]:
     """Minimise E(u, v) for one linearisation by alternation of v and u; return u and the spare array."""
     limit = params.epsilon**2 if params.epsilon_squared else params.epsilon
-    stop, count, inner, energies = "max_iter", 0, 0, []
+    stop, count, inner, energies, change = "max_iter", 0, 0, [], math.inf
     while count < params.max_iter:
         count += 1
         inner += regularizer.step(v_step.target(u, linear), u, after)
@@ -123,6 +127,7 @@ def _alternate(
     report.iterations.append(count)
     report.inner_iterations.append(inner)
     report.stop.append(stop)
+    report.change.append(math.sqrt(change))
     if trace:
         report.energy.append(energies)
     return u, after

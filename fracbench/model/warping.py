@@ -6,6 +6,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+import scipy.ndimage
 from numpy.typing import NDArray
 
 from fracbench.model.kernels.arrays import Array
@@ -107,6 +108,13 @@ def linearize(
             rho_c[i, j] = value - gx * u0[0, i, j] - gy * u0[1, i, j] - frame0[i, j]
             gradient[0, i, j] = gx
             gradient[1, i, j] = gy
+
+
+def sample(image: Array, flow: Array) -> Array:
+    """Return an image (H, W) at ``x + flow``, (2, H, W) in pixels: bilinear, the borders repeated."""
+    at = np.indices(image.shape) + flow[::-1]
+    sampled: Array = scipy.ndimage.map_coordinates(image, at, order=1, mode="nearest")
+    return sampled
 
 
 @jit

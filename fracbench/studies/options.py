@@ -52,6 +52,7 @@ _TYPES: dict[str, dict[str, Any]] = {
     "alpha_regions": {"paper": Any},  # the captions' values, checked where the regions are at hand
     "alpha_by_structure": {"shown_noise": float | None, "paper": Any},  # the paper's ranges, checked likewise
     "solver_study": {"size": int | None, "alpha_step": float | None, "tol": float | None, "limit": int | None},
+    "confidence": {"protocols": list[str] | None, "dropped": list[float] | None},
     "convergence": {
         "region": str | None,
         "alphas": list[float] | None,

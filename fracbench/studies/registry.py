@@ -12,6 +12,7 @@ from fracbench.harness.run.store import Row
 from fracbench.studies.accurate import accurate_study
 from fracbench.studies.alpha_map.artefact import adaptive_alpha
 from fracbench.studies.base import Artefact, Renderer
+from fracbench.studies.confidence import confidence
 from fracbench.studies.options import require_options
 from fracbench.studies.paper.alpha_regions import alpha_regions
 from fracbench.studies.paper.figures import family, frames, region_boxes
@@ -28,6 +29,7 @@ RENDERERS: dict[str, Renderer] = {
     "adaptive_alpha": adaptive_alpha,
     "alpha_by_structure": alpha_by_structure,
     "alpha_regions": alpha_regions,
+    "confidence": confidence,
     "convergence": convergence,
     "family": family,
     "frames": frames,

@@ -130,6 +130,37 @@ def test_truths_that_cannot_be_used(files, refused, truth, named):
 
 
 @pytest.mark.parametrize(
+    ("extra", "named"),
+    [
+        (["--mask", "small.png"], "small.png: the mask is 32 x 23, the frames are 32 x 24 (width x height)"),
+        (["--mask", "text.png"], "text.png: "),
+        (["--mask", "none.png"], "none.png: cannot be read"),
+        (["--mask", "white.png"], "`mask`: all 768 pixels of frame0 are masked; no data are left"),
+        (["--mask"], "--mask: expected one argument"),
+        (["--initial-flow", "other.flo"], "other.flo: the initial flow is 31 x 24, the frames are 32 x 24"),
+        (["--initial-flow", "cut.flo"], "cut.flo: cut off"),
+        (["--initial-flow", "a.txt"], "a.txt: unknown flow format '.txt'"),
+        (["--initial-flow", "unknown.flo"], "`initial_flow`: 1 of 768 pixels are NaN, infinite or unknown"),
+        (["--method", "opencv_dis", "--mask", "black.png"], "method 'opencv_dis' takes no `mask`"),
+        (["--method", "opencv_dis", "--initial-flow", "t.flo"], "method 'opencv_dis' takes no `initial_flow`"),
+        (["finest_scale=-1"], "`finest_scale` must be at least 0, got -1"),
+        (["finest_scale=0.5"], "`finest_scale` must be a whole number"),
+        (["protocol=quick"], "unknown protocol 'quick'"),
+    ],
+)
+def test_masks_and_initial_flows_that_cannot_be_used(files, refused, extra, named):
+    if "opencv_dis" in extra:
+        pytest.importorskip("cv2")
+    write_image(files / "white.png", np.full((24, 32), 255, np.uint8))
+    write_image(files / "black.png", np.zeros((24, 32), np.uint8))
+    flow = np.zeros((2, 24, 32), np.float32)
+    flow[:, 4, 5] = np.nan
+    write_flo(files / "unknown.flo", flow)
+    (files / "a.txt").touch()
+    refused(files, ["estimate", "a.png", "b.png", "-o", "out.flo", *extra], named)
+
+
+@pytest.mark.parametrize(
     ("output", "extra", "named"),
     [
         ("nowhere/out.flo", [], "nowhere/out.flo: 'nowhere' is not a folder that can be written to"),
@@ -143,6 +174,11 @@ def test_truths_that_cannot_be_used(files, refused, truth, named):
         ("out.png", ["--color", "out.png"], "out.png: the command names this file twice"),
         ("taken.flo", ["--truth", "taken.flo"], "taken.flo: the command names this file twice"),
         ("out.flo", ["--color", "a.png"], "a.png: the command names this file twice"),
+        ("out.flo", ["--confidence", "c.xyz"], "c.xyz: no picture format has the suffix '.xyz'"),
+        ("out.flo", ["--confidence", "nowhere/c.png"], "nowhere/c.png: 'nowhere' is not a folder"),
+        ("out.flo", ["--confidence", "out.color.png"], "out.color.png: the command names this file twice"),
+        ("out.flo", ["--mask", "a.png", "--confidence", "b.png"], "b.png: the command names this file twice"),
+        ("taken.flo", ["--initial-flow", "taken.flo"], "taken.flo: the command names this file twice"),
     ],
 )
 def test_outputs_that_cannot_be_written(files, refused, output, extra, named):
@@ -154,7 +190,7 @@ def test_a_flow_that_the_format_cannot_hold(files, refused, monkeypatch):
 
     class Result:
         flow = np.full((2, 24, 32), 600.0, np.float32)
-        notices, stop_reason, iterations, seconds, method = (), "converged", [[1]], {}, "far"
+        notices, stop_reason, iterations, seconds, method, ending = (), "converged", [[1]], {}, "far", "converged"
 
     monkeypatch.setattr(api, "estimate_flow", lambda *_, **__: Result())
     refused(files, ["estimate", "a.png", "b.png", "-o", "out.png"], "out.png", "768 flow vectors are outside -512")
@@ -171,13 +207,11 @@ def test_a_flow_that_is_not_finite(files, refused, monkeypatch):
     refused(files, ["estimate", "a.png", "b.png", "-o", "out.flo"], "the computation diverged")
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_pixels_that_are_not_finite(bad):
+@pytest.mark.parametrize("bad", [np.inf, -np.inf])
+def test_pixels_that_are_infinite(bad):
     frame = np.zeros((9, 9))
     frame[4, 5] = bad
-    with pytest.raises(
-        InputError, match="frame1: 1 of 81 pixels are NaN or infinite, the first at row 4, column 5"
-    ):
+    with pytest.raises(InputError, match="frame1: 1 of 81 pixels are infinite, the first at row 4, column 5"):
         estimate_flow(np.zeros((9, 9)), frame)
 
 

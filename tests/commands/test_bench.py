@@ -26,7 +26,7 @@ def test_all_that_is_installed_runs_by_default(monkeypatch):
     for boundary in ("reflect", "zero"):
         for alpha in ("1", "1.2", "1.7"):
             assert f"tvl1_sb_alpha {boundary} alpha {alpha}" in names
-    assert {"tvl1_sb_alpha_map 2 orders", "accurate"} < set(names)
+    assert {"tvl1_sb_alpha_map 2 orders", "accurate", "fast"} < set(names)
 
 
 def test_a_contender_may_bring_a_protocol(monkeypatch):

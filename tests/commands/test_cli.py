@@ -22,7 +22,7 @@ from fracbench import api, estimate_flow
 from fracbench.commands.cli import EXIT_CHECK, EXIT_DONE, EXIT_FAILED, EXIT_INPUT
 from fracbench.commands.console import COMPILING
 from fracbench.data.datasets import middlebury as middlebury_data
-from fracbench.data.files import read_flow, read_image
+from fracbench.data.files import read_flow, read_image, write_image
 from fracbench.errors import RESUME
 from fracbench.evaluation.metrics import flow_errors
 from fracbench.harness.check.tolerances import MEASURED
@@ -364,6 +364,44 @@ def test_the_flow_may_be_kittis_and_the_picture_elsewhere(cli, images):
     np.testing.assert_allclose(read_flow("f.png"), expected.flow, atol=1 / 128)
     assert read_image("p/c.jpg").shape == (24, 32, 3)
     assert not (images / "f.color.png").exists()
+
+
+def test_a_mask_an_initial_flow_and_the_confidence(cli, images):
+    mask = np.zeros((24, 32, 3), np.uint8)
+    mask[5:9, 6:11, 1] = 1  # hardly black, but not black
+    write_image("mask.png", mask)
+    files = ("--mask", "mask.png", "--initial-flow", "t.flo", "--confidence", "conf.png")
+    done = cli("estimate", "a.png", "b.png", "-o", "flow.flo", *files, "n_scales=1")
+    assert (done.code, done.err) == (EXIT_DONE, "")
+    expected = estimate_flow(
+        read_image("a.png"), read_image("b.png"), mask=mask.any(axis=2), initial_flow=read_flow("t.flo"),
+        confidence=True, n_scales=1,
+    )  # fmt: skip
+    np.testing.assert_array_equal(read_flow("flow.flo"), expected.flow)
+    agrees, distance = expected.confidence.agrees, expected.confidence.distance
+    assert 0 < agrees.sum() < agrees.size
+    picture = read_image("conf.png")
+    np.testing.assert_array_equal(picture > 0, agrees)
+    np.testing.assert_allclose(picture[agrees], 255 - 254 * np.minimum(distance[agrees], 1), atol=0.5)
+    assert f"the flows forward and back agree at {agrees.mean():.1%} of the pixels\nwrote conf.png\n" in done.out
+
+
+@pytest.mark.parametrize(
+    ("settings", "ended"),
+    [
+        (
+            ["epsilon=0", "n_warps=3", "max_iter=2"],
+            "all 3 warps reached the limit of 2 iterations; the last iteration",
+        ),
+        (["epsilon=9", "n_warps=2"], "all 2 warps converged; the last iteration changed the flow by 0."),
+        (["--method", "opencv_dis"], "; the method does not report how it ended\n"),
+    ],
+)
+def test_the_end_is_told_in_words(cli, images, settings, ended):
+    if "opencv_dis" in settings:
+        pytest.importorskip("cv2")
+    out = cli("estimate", "a.png", "b.png", "-o", "flow.flo", "n_scales=1", *settings).out
+    assert ended in out and "max_iter," not in out
 
 
 def test_the_default_method_is_that_of_the_python_interface(cli, images):

@@ -200,10 +200,31 @@ def test_stop_reasons(method):
     frames = ref.translated_pair((16, 20), (0.8, 0.5))
     limited = run(method, *frames, max_iter=2, epsilon=0.0, n_warps=2, n_scales=1)
     assert limited.stop_reason == "max_iter"
+    assert limited.ending.startswith("all 2 warps reached the limit of 2 iterations; the last iteration changed")
     assert limited.iterations == [[2, 2]]
     converged = run(method, *frames, epsilon=10.0, n_warps=2, n_scales=1)
     assert converged.stop_reason == "converged"
     assert converged.iterations == [[1, 1]]
+    assert converged.ending.startswith("all 2 warps converged; the last iteration changed the flow by ")
+
+
+def test_the_last_change_is_told_in_pixels_of_the_frames():
+    frames = ref.translated_pair((40, 48), (0.8, 0.5))
+    settings = {"epsilon": 0.0, "n_warps": 1, "n_scales": 2, "upsample_gain": None}
+    shorter, longer = (run("tvl1", *frames, max_iter=n, finest_scale=1, **settings) for n in (6, 7))
+    change = np.sqrt(np.square(longer.flow - shorter.flow).sum(axis=0).mean())
+    assert 2 * longer.levels[-1].change[-1] == pytest.approx(change, rel=0.1)
+    assert longer.ending.endswith(
+        f"the last iteration changed the flow by {2 * longer.levels[0].change[0]:.2g} px"
+    )
+
+
+def test_warps_of_either_end_are_counted():
+    frames = ref.translated_pair((16, 20), (0.8, 0.5))
+    mixed = run("tvl1_sb_alpha", *frames, epsilon=0.05, n_warps=6, max_iter=6, n_scales=1)
+    stops = mixed.levels[0].stop
+    assert 0 < stops.count("max_iter") < 6
+    assert mixed.ending.startswith(f"{stops.count('max_iter')} of 6 warps reached the limit of 6 iterations; ")
 
 
 def test_the_stopping_threshold_is_squared_unless_told_otherwise():
@@ -224,6 +245,23 @@ def test_fewer_scales_than_asked_for_are_noticed():
     assert reduced.notices[0].startswith("n_scales reduced from 9 to 2")
     assert run("tvl1", *frames, n_scales=2, n_warps=1).notices == []
     assert run("tvl1", *frames, n_warps=1).notices == []
+
+
+@METHODS
+def test_the_flow_of_a_coarser_scale_is_upsampled(method):
+    shape, motion = (47, 61), (2.6, -1.7)
+    result = run(method, *ref.translated_pair(shape, motion), finest_scale=1, **ACCURATE)
+    assert result.flow.shape == (2, *shape)
+    assert [level.shape for level in result.levels] == [(12, 16), (24, 31)]
+    assert end_point_error(result.flow, motion).max() < 0.1
+    assert result.notices == []
+
+
+def test_the_coarsest_scale_is_computed_in_any_case():
+    frames = ref.translated_pair((16, 40), (0.3, 0.2))
+    result = run("tvl1", *frames, finest_scale=7, n_warps=1)
+    assert [level.shape for level in result.levels] == [(8, 20)]
+    assert result.notices == ["finest_scale reduced from 7 to 1, the coarsest scale"]
 
 
 def test_a_run_that_overflows_is_reported_as_diverged(monkeypatch):

@@ -135,7 +135,12 @@ def test_every_measure_has_a_place():
 
 @pytest.mark.parametrize(
     ("name", "score", "n"),
-    [("solver_study", "spectrum", 126), ("convergence", "convergence", 4), ("adaptive_alpha", "oracle", 8)],
+    [
+        ("solver_study", "spectrum", 126),
+        ("convergence", "convergence", 4),
+        ("adaptive_alpha", "oracle", 8),
+        ("sparsification", "confidence", 24),
+    ],
 )
 def test_the_projects_experiments_plan_theirs(name, score, n):
     plan = plan_artefact(load_experiment(name), SCENES, allow_download=False)

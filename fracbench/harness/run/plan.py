@@ -44,6 +44,7 @@ from fracbench.model.params import FlowParams
 #: ``function(experiment, plan)``, which return planned points.
 _MEASURED = {
     "adaptive_alpha": "fracbench.studies.alpha_map.artefact:oracle_points",
+    "confidence": "fracbench.studies.confidence:confidence_points",
     "convergence": "fracbench.studies.solvers.convergence_study:convergence_points",
     "solver_study": "fracbench.studies.solvers.solver_study:spectrum_points",
 }

@@ -20,6 +20,7 @@ from fracbench.model.params import FlowParams
 #: called as ``function(point, folder)``, which return a row's result. Studies own them; only workers import them.
 MEASURES = {
     "spectrum": "fracbench.studies.solvers.spectral_radius:spectrum",
+    "confidence": "fracbench.studies.confidence:errors_left",
     "convergence": "fracbench.studies.solvers.linearised_problem:courses",
     "oracle": "fracbench.studies.alpha_map.oracle:bounds",
 }

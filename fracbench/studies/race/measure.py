@@ -52,6 +52,7 @@ def _ours() -> list[Contender]:
     beyond = [
         Contender("tvl1_sb_alpha_map 2 orders", "tvl1_sb_alpha_map", {**two_orders, **fast}),
         Contender("accurate", "tvl1_sb_alpha_map", protocol="accurate"),
+        Contender("fast", "tvl1_sb", protocol="fast"),
     ]
     return [Contender("tvl1", "tvl1"), Contender("tvl1_sb", "tvl1_sb", fast), *fractional, *beyond]
 

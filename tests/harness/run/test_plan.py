@@ -183,7 +183,7 @@ OTHER = {
     "epsilon_squared": "false", "dtype": "float64", "coupling": "penalty", "coupling_step": "2",
     "relaxation": "1.1", "alpha_flat": "0.9", "alpha_edge": "0.9", "alpha_corner": "0.9", "alpha_texture": "0.9",
     "lambda_gradient": "1", "derivatives": "both", "edge_decay": "0.1", "edge_power": "1", "median_radius": "1",
-    "weighted_radius": "2", "texture": "0.95", "occlusion": "none",
+    "weighted_radius": "2", "finest_scale": "1", "texture": "0.95", "occlusion": "none",
 }  # fmt: skip
 
 
@@ -202,12 +202,13 @@ def test_what_came_later_is_in_no_key_where_it_is_off():
     """Keys of results that were stored before there was such a parameter stay as they were."""
     usual = FlowParams().as_dict()
     (planned,) = plan(FLAT, "method=tvl1_sb_alpha_map").points
-    for name, value in get_method("tvl1_sb_alpha_map").younger.items():
+    younger = get_method("tvl1_sb_alpha_map").younger
+    for name, value in younger.items():
         assert usual[name] == value and planned.point.canonical[name] == canonical_value(value)
-    older = get_method("tvl1_sb_alpha_map").uses - {"texture", "occlusion"}
+    older = get_method("tvl1_sb_alpha_map").uses - younger.keys()
     assert set(planned.point.spec["params"]) == older
-    (both,) = plan(FLAT, "method=tvl1_sb_alpha_map", "texture=0.95", "occlusion=both").points
-    assert set(both.point.spec["params"]) == older | {"texture", "occlusion"}
+    (both,) = plan(FLAT, "method=tvl1_sb_alpha_map", "texture=0.95", "finest_scale=1").points
+    assert set(both.point.spec["params"]) == older | {"texture", "finest_scale"}
 
 
 def test_a_key_changes_with_whatever_else_matters(middlebury_found):

@@ -1,0 +1,124 @@
+"""The flow between two image files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from fracbench.commands import console
+from fracbench.commands.run import compile_for, picture_beside, say_errors, say_result, write_flow_and_picture
+from fracbench.errors import InputError
+from fracbench.harness.config.grid import parse_overrides
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from fracbench.model.confidence import Confidence
+
+
+def estimate_pair(
+    frame0: Path,
+    frame1: Path,
+    output: Path,
+    *,
+    color: Path | None = None,
+    truth: Path | None = None,
+    mask: Path | None = None,
+    initial_flow: Path | None = None,
+    confidence: Path | None = None,
+    method: str | None = None,
+    threads: int = 1,
+    overrides: Sequence[str] = (),
+) -> None:
+    """Compute the flow between two image files; write it (``.flo``, or KITTI's ``.png``) and its colour picture.
+
+    The errors are printed if the true flow is given, and the confidence is drawn if a file for it is named.
+    `method` is by default that of the protocol in `overrides`.
+    """
+    from fracbench.api import DEFAULT_PROTOCOL, estimate_flow, settings_of
+    from fracbench.data.files import read_flow, read_image, write_image
+    from fracbench.data.gray import to_gray
+    from fracbench.model.coarse_to_fine import check_frames
+
+    grid = parse_overrides(overrides)
+    if grid.size > 1:
+        raise InputError(f"estimate takes one value a parameter ({' '.join(overrides)}); use sweep for grids")
+    given: dict[str, Any] = next(grid.points())
+    protocol = given.pop("protocol", DEFAULT_PROTOCOL)
+    chosen, settings = settings_of(protocol, method, given)  # which refuses what is wrong before anything is read
+    picture = color or picture_beside(output)
+    inputs = [path for path in (frame0, frame1, truth, mask, initial_flow) if path is not None]
+    _require_outputs(output, [picture, confidence] if confidence else [picture], inputs)
+    first, second = read_image(frame0), read_image(frame1)
+    size = first.shape[:2]
+    expected = _of_size(size, truth, "true flow", read_flow(truth)) if truth else None
+    start = _of_size(size, initial_flow, "initial flow", read_flow(initial_flow)) if initial_flow else None
+    hidden = _of_size(size, mask, "mask", _not_black(read_image(mask))) if mask else None
+    check_frames(to_gray(first, name="frame0", nan=True), to_gray(second, name="frame1", nan=True))
+    compile_for([(chosen.name, settings)])
+    result = estimate_flow(
+        first,
+        second,
+        protocol=protocol,
+        method=method,
+        mask=hidden,
+        initial_flow=start,
+        confidence=confidence is not None,
+        threads=threads,
+        **given,
+    )
+    changes = " ".join(token for token in overrides if token != f"protocol={protocol}")
+    say_result(result, f"preset {protocol} with {changes}" if changes else f"preset {protocol}")
+    if expected is not None:
+        say_errors(result.flow, expected)
+    write_flow_and_picture(result.flow, output, picture)
+    if confidence is not None and result.confidence is not None:
+        share = float(result.confidence.agrees.mean())
+        console.say(f"the flows forward and back agree at {share:.1%} of the pixels")
+        write_image(confidence, confidence_picture(result.confidence))
+        console.say(f"wrote {confidence}")
+
+
+def confidence_picture(confidence: Confidence) -> NDArray[Any]:
+    """Return a check as 8-bit gray: 0 where the flows disagree, else 255 (distance 0) down to 1 (1 px or more)."""
+    import numpy as np
+
+    levels = np.rint(255.0 - 254.0 * np.minimum(confidence.distance, 1.0))
+    picture: NDArray[Any] = (levels * confidence.agrees).astype(np.uint8)
+    return picture
+
+
+def _not_black(image: NDArray[Any]) -> NDArray[Any]:
+    brightest: NDArray[Any] = image if image.ndim == 2 else image.max(axis=2)
+    return brightest > 0
+
+
+def _of_size(size: tuple[int, ...], path: Path, what: str, array: NDArray[Any]) -> NDArray[Any]:
+    """Return a flow (2, H, W) or a mask (H, W) if it has the size of the frames, (H, W)."""
+    if array.shape[-2:] != size:
+        raise InputError(
+            f"{path}: the {what} is {array.shape[-1]} x {array.shape[-2]}, the frames are {size[1]} x {size[0]} "
+            "(width x height)"
+        )
+    return array
+
+
+def _require_outputs(output: Path, pictures: Sequence[Path], inputs: Sequence[Path]) -> None:
+    """Refuse an output that cannot be written, or that would replace an input, before anything is computed."""
+    from PIL import Image
+
+    if output.suffix.lower() not in (".flo", ".png"):
+        raise InputError(f"{output}: a flow is written as .flo or as .png (KITTI), not as {output.suffix!r}")
+    for picture in pictures:
+        if picture.suffix.lower() not in Image.registered_extensions():
+            raise InputError(f"{picture}: no picture format has the suffix {picture.suffix!r}; use .png")
+    taken = {path.resolve() for path in inputs}
+    for path in (output, *pictures):
+        # Path.is_dir raises where a parent may not be entered
+        if not (os.path.isdir(path.parent) and os.access(path.parent, os.W_OK)):  # noqa: PTH112
+            raise InputError(f"{path}: {str(path.parent)!r} is not a folder that can be written to")
+        if path.resolve() in taken:
+            raise InputError(f"{path}: the command names this file twice; choose another output")
+        taken.add(path.resolve())
