@@ -19,13 +19,17 @@ _BEYOND = frozenset({
     "alpha_flat", "alpha_edge", "alpha_corner", "alpha_texture", "lambda_gradient", "derivatives", "edge_decay",
     "edge_power", "median_radius", "weighted_radius", "texture", "occlusion"
 })  # fmt: skip
-_PYRAMID = frozenset(FlowParams.names()) - _BEYOND - {
+# Those of the flow in two parts.
+_INFIMAL = frozenset({"alpha_smooth", "smooth_weight"})
+_PYRAMID = frozenset(FlowParams.names()) - _BEYOND - _INFIMAL - {
     "alpha", "boundary", "pad", "tau", "lambda_sb", "u_solver", "inner", "tol", "max_inner", "coupling",
     "coupling_step", "relaxation"
 }  # fmt: skip
 # For cheap iterations of little progress; the default of six is for the exact u-step.
 _SMALL_STEPS = {"epsilon": 0.02, "max_iter": 300, "n_warps": 5}
-_BREGMAN = frozenset(FlowParams.names()) - _BEYOND - {"alpha", "boundary", "pad", "tau"}
+_BREGMAN = _PYRAMID | {
+    "lambda_sb", "u_solver", "inner", "tol", "max_inner", "coupling", "coupling_step", "relaxation"
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -137,6 +141,20 @@ register(
         _BREGMAN | _BEYOND,
         # orders without weight at a pixel slow the convergence of its flow, so that more iterations are needed
         {"n_warps": 5, "max_iter": 10},
+    )
+)
+
+
+register(
+    Method(
+        "tvl1_sb_alpha_ic",
+        "TV-L1-SB-alpha, infimal",
+        "flow in two parts of different orders, the infimal convolution: the flow chooses its order by itself",
+        "fracbench.methods.infimal:tvl1_sb_alpha_ic",
+        # of some it allows one value, and refuses others
+        (_BREGMAN | _BEYOND | _INFIMAL | {"alpha", "boundary"})
+        - {"alpha_flat", "alpha_edge", "alpha_corner", "alpha_texture", "tol", "max_inner"},
+        {"alpha": 1.0, "n_warps": 5, "max_iter": 10},
     )
 )
 

@@ -41,6 +41,8 @@ class FlowResult:
         Wall-clock seconds by phase.
     notices : list of str
         Notices for the user, e.g. that the image allows fewer scales than `n_scales`.
+    parts : ndarray, shape (2 parts, 2, H, W), float32, or None
+        The two parts of the flow, whose sum it is, by `tvl1_sb_alpha_ic`; else None.
     """
 
     flow: Array
@@ -49,6 +51,7 @@ class FlowResult:
     levels: list[LevelReport] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
     notices: list[str] = field(default_factory=list)
+    parts: Array | None = None
 
     @property
     def iterations(self) -> list[list[int]]:
