@@ -38,7 +38,7 @@ def tvl1_sb_alpha_map(
         frame1,
         params,
         _by_class,
-        _v_step,
+        any_v_step,
         make_residual=residual_factory(frame0, frame1, params),
         make_flow_filter=flow_filter,
         method="tvl1_sb_alpha_map",
@@ -46,7 +46,8 @@ def tvl1_sb_alpha_map(
     )
 
 
-def _v_step(like: Array, params: FlowParams) -> VStep:
+def any_v_step(like: Array, params: FlowParams) -> VStep:
+    """Return the v-step that `params` ask for, with or without gradient constancy."""
     return channel_step(like, params) or v_step(like, params)
 
 

@@ -24,14 +24,18 @@ _BEYOND = frozenset({
     "alpha_flat", "alpha_edge", "alpha_corner", "alpha_texture", "lambda_gradient", "derivatives", "edge_decay",
     "edge_power", "median_radius", "weighted_radius", "texture", "occlusion"
 })  # fmt: skip
-_PYRAMID = frozenset(FlowParams.names()) - _BEYOND - {
+# Those of the flow in two parts.
+_INFIMAL = frozenset({"alpha_smooth", "smooth_weight"})
+_PYRAMID = frozenset(FlowParams.names()) - _BEYOND - _INFIMAL - {
     "alpha", "boundary", "pad", "tau", "lambda_sb", "u_solver", "inner", "tol", "max_inner", "coupling",
     "coupling_step", "relaxation"
 }  # fmt: skip
 # For cheap iterations of little progress; the default of six is for the exact u-step.
 _SMALL_STEPS = {"epsilon": 0.02, "max_iter": 300, "n_warps": 5}
 _OPTIONS = frozenset({"mask", "initial_flow"})
-_BREGMAN = frozenset(FlowParams.names()) - _BEYOND - {"alpha", "boundary", "pad", "tau"}
+_BREGMAN = _PYRAMID | {
+    "lambda_sb", "u_solver", "inner", "tol", "max_inner", "coupling", "coupling_step", "relaxation"
+}  # fmt: skip
 
 METHODS: dict[str, Method] = {}
 DEFAULT_METHOD = "tvl1_sb_alpha"
@@ -155,6 +159,18 @@ register(
         # orders without weight at a pixel slow the convergence of its flow, so that more iterations are needed
         defaults={"n_warps": 5, "max_iter": 10},
         younger={"texture": 0.0, "occlusion": "median"},
+    )
+)
+register(
+    _ours(
+        "tvl1_sb_alpha_ic",
+        "TV-L1-SB-alpha, infimal",
+        "flow in two parts of different orders, the infimal convolution: the flow chooses its order by itself",
+        "infimal",
+        # of some it allows one value, and refuses others
+        (_BREGMAN | _BEYOND | _INFIMAL | {"alpha", "boundary"})
+        - {"alpha_flat", "alpha_edge", "alpha_corner", "alpha_texture", "tol", "max_inner"},
+        defaults={"alpha": 1.0, "n_warps": 5, "max_iter": 10},
     )
 )
 for _peer in PEERS:

@@ -63,7 +63,7 @@ def warm_up(
 
     try:
         with on_compilation(begin):
-            if helps and method.name != "tvl1_sb_alpha_map":
+            if helps and method.name not in ("tvl1_sb_alpha_map", "tvl1_sb_alpha_ic"):
                 _call_steps(np.dtype(params.dtype))
             method.compute(frame0, frame1, small)
     finally:
@@ -74,7 +74,8 @@ def warm_up(
 
 def _leads(name: str, params: FlowParams) -> Callable[[], None] | None:
     """Return a function that calls the loops which a second process compiles, if there are any worth it."""
-    exact = name in ("tvl1_sb", "tvl1_sb_alpha", "tvl1_sb_alpha_map") and params.u_solver == "exact"
+    named = ("tvl1_sb", "tvl1_sb_alpha", "tvl1_sb_alpha_map", "tvl1_sb_alpha_ic")
+    exact = name in named and params.u_solver == "exact"
     if not (exact and simd.AVAILABLE):
         return None
     if name == "tvl1_sb_alpha" and params.boundary == "zero":

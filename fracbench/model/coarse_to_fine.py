@@ -58,6 +58,8 @@ class FlowResult:
         Notices for the user, e.g. that the image allows fewer scales than `n_scales`.
     confidence : Confidence or None
         The forward-backward check, where it was asked for.
+    parts : ndarray, shape (2 parts, 2, H, W), float32, or None
+        The two parts of the flow, whose sum it is, by `tvl1_sb_alpha_ic`; else None.
     """
 
     flow: Array
@@ -67,6 +69,7 @@ class FlowResult:
     seconds: dict[str, float] = field(default_factory=dict)
     notices: list[str] = field(default_factory=list)
     confidence: Confidence | None = None
+    parts: Array | None = None
 
     @property
     def iterations(self) -> list[list[int]]:

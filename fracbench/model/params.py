@@ -125,6 +125,9 @@ class FlowParams:
                             low=0.0, high=1.0)
     occlusion: Literal["median", "none", "both"] = _param(
         "median", "weighting by visibility: of neighbours in the weighted median, or of these and of the data")
+    alpha_smooth: float = _param(1.5, "order of the second part q of the flow u = p + q; alpha is that of p",
+                                 low=0.0, high=2.0)
+    smooth_weight: float = _param(2.0, "weight of the second part's regularity", low=0.0, open_low=True)
     # fmt: on
 
     def __post_init__(self) -> None:

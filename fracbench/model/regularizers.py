@@ -17,6 +17,7 @@ from fracbench.model.kernels.pointwise import bregman_update, mean_squared_chang
 from fracbench.model.kernels.threads import count, parallel_for, parallel_map
 from fracbench.model.operators.base import GradientOperator
 from fracbench.model.operators.forward import ForwardDifferences
+from fracbench.model.operators.infimal import InfimalGradient
 from fracbench.model.sweeps import gauss_seidel_dense, gauss_seidel_natural, jacobi_sweep
 
 
@@ -211,6 +212,33 @@ class SplitBregman:
             else:
                 gauss_seidel_dense(u, rhs, *system)
             operator.differentiate(u, w)
+
+
+class InfimalBregman(SplitBregman):
+    """Warm split Bregman iteration with the exact u-step for two orders, ``u = p + q`` (`InfimalGradient`).
+
+    `smooth`, (2, H, W), is q at the start; p is the rest of the flow.
+    """
+
+    def __init__(
+        self, operator: InfimalGradient, theta: float, mu: float, smooth: Array, *, relaxation: float = 1.0
+    ) -> None:
+        super().__init__(operator, theta, mu, relaxation=relaxation)
+        self._parts = aligned((2, *smooth.shape), operator.dtype)  # by component of the flow, then p and q
+        self._parts[:, 1] = smooth
+
+    @property
+    def smooth(self) -> Array:
+        """The part q of the last step, (2, H, W)."""
+        return self._parts[:, 1]
+
+    def _take_component(self, component: int, v: Array, u: Array, out: Array) -> int:
+        p, q = self._parts[component]
+        if not self._started[component]:
+            np.subtract(u, q, out=p)
+        self.bregman_step(component, v, self._parts[component], warm=True)
+        np.add(p, q, out=out)
+        return 1
 
 
 def edge_weights(image: Array, decay: float, power: float) -> Array:

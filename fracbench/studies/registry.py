@@ -13,6 +13,7 @@ from fracbench.studies.accurate import accurate_study
 from fracbench.studies.alpha_map.artefact import adaptive_alpha
 from fracbench.studies.base import Artefact, Renderer
 from fracbench.studies.confidence import confidence
+from fracbench.studies.infimal.artefact import order_from_flow
 from fracbench.studies.options import require_options
 from fracbench.studies.paper.alpha_regions import alpha_regions
 from fracbench.studies.paper.figures import family, frames, region_boxes
@@ -33,6 +34,7 @@ RENDERERS: dict[str, Renderer] = {
     "convergence": convergence,
     "family": family,
     "frames": frames,
+    "order_from_flow": order_from_flow,
     "protocol_study": protocol_study,
     "region_boxes": region_boxes,
     "solver_study": solver_study,

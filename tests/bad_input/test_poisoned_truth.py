@@ -11,10 +11,10 @@ from fracbench.data.datasets.registry import load_sequence
 from fracbench.harness.run import compute_point
 from fracbench.harness.run.compute_point import hold, run_point
 from fracbench.harness.run.plan import make_plan
-from fracbench.methods import alpha_map, paper
+from fracbench.methods import alpha_map, infimal, paper
 
-QUICK = ["sequence=synthetic_parallax", "n_scales=2", "n_warps=1", "max_iter=3"]
-HOMES = {"tvl1_sb_alpha_map": alpha_map, "tvl1_sb_alpha": paper}
+QUICK = ["sequence=synthetic_parallax", "n_scales=2", "n_warps=1", "max_iter=3", "boundary=reflect"]
+HOMES = {"tvl1_sb_alpha_map": alpha_map, "tvl1_sb_alpha": paper, "tvl1_sb_alpha_ic": infimal}
 
 
 @pytest.fixture

@@ -130,7 +130,8 @@ def test_chosen_experiments_run_on_the_pairs_of_another_dataset(paper, cli):
 
 def test_the_experiments_beyond_the_paper_are_not_the_papers():
     assert not set(beyond.EXPERIMENTS) & set(reproduce.PAPER)
-    assert {"alpha_by_structure", "adaptive_alpha"} <= set(beyond.EXPERIMENTS) & set(reproduce.list_experiments())
+    told = {"alpha_by_structure", "adaptive_alpha", "order_from_flow"}
+    assert told <= set(beyond.EXPERIMENTS) & set(reproduce.list_experiments())
 
 
 @pytest.mark.parametrize(

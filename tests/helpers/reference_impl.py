@@ -106,6 +106,38 @@ def denoising_bounds(pairs, limits, v, theta, iterations=1500):
     return lower, upper
 
 
+def infimal_bounds(first, second, limits, v, theta, mu=5.0, iterations=4000):
+    """Bracket min over p, q of limit_1 |D_1 p| + limit_2 |D_2 q| + |p + q - v|^2 / (2 theta) by dense ADMM.
+
+    `first` and `second` are the pairs of both parts, `limits` their weights. The dual variables must meet
+    K_1^T y_1 = K_2^T y_2 and |y| <= limit: projected and scaled down they do, which gives the lower bound.
+    """
+    k1, k2 = (np.concatenate([m for pair in pairs for m in pair]) for pairs in (first, second))
+    v, n, pairs = v.ravel(), v.size, len(first) + len(second)
+    k = np.block([[k1, np.zeros((len(k1), n))], [np.zeros((len(k2), n)), k2]])
+    both = np.hstack([np.eye(n), np.eye(n)])
+    inverse = np.linalg.pinv(both.T @ both / theta + mu * k.T @ k)
+    limit = np.repeat(limits, [len(first), len(second)])[:, None, None]
+
+    def norms(y):
+        return np.linalg.norm(y.reshape(pairs, 2, -1), axis=1, keepdims=True)
+
+    d, b = np.zeros(len(k)), np.zeros(len(k))
+    for _ in range(iterations):
+        x = inverse @ (both.T @ v / theta + mu * k.T @ (d - b))
+        z = k @ x + b
+        inside = np.minimum(1.0, limit / mu / np.maximum(norms(z), 1e-300))
+        b = (z.reshape(pairs, 2, -1) * inside).ravel()
+        d = z - b
+    upper = (limit * norms(k @ x)).sum() + (both @ x - v) @ (both @ x - v) / (2.0 * theta)
+    equal = np.hstack([k1.T, -k2.T])
+    y = mu * b
+    y -= np.linalg.pinv(equal) @ (equal @ y)
+    y /= max(1.0, (norms(y) / limit).max())
+    s = k1.T @ y[: len(k1)]
+    return s @ v - theta / 2.0 * s @ s, upper
+
+
 def dense_normal(boundary, alpha, shape, pad=0):
     """weight * sum_pairs (Dx^T Dx + Dy^T Dy), dense; each of two pairs weighs 1/2."""
     pairs = dense_gradient(boundary, alpha, shape, pad)

@@ -15,7 +15,7 @@ from fracbench.harness.config.paths import checkout
 from fracbench.methods.registry import METHODS, get_method, register
 from fracbench.model.params import FlowParams
 
-OURS = ("tvl1", "tvl1_sb", "tvl1_sb_alpha", "tvl1_sb_alpha_map")
+OURS = ("tvl1", "tvl1_sb", "tvl1_sb_alpha", "tvl1_sb_alpha_map", "tvl1_sb_alpha_ic")
 
 #: parameter: (values that make it matter, two values of its own that give different flows)
 VARIATIONS = {
@@ -57,7 +57,11 @@ VARIATIONS = {
     "weighted_radius": ({"gradient_scale": 0.1}, 0, 2),  # a flow too long has edges
     "texture": ({}, 0.0, 0.5),
     "occlusion": ({}, "median", "both"),
+    "alpha_smooth": ({}, 1.5, 0.7),
+    "smooth_weight": ({}, 2.0, 0.5),
 }
+#: The values that `tvl1_sb_alpha_ic` allows; it refuses others.
+ONLY = {"boundary": "reflect", "u_solver": "exact", "inner": "warm"}
 SMALL = {"n_warps": 3, "max_iter": 10, "epsilon": 1e-3, "max_inner": 8}
 
 
@@ -93,6 +97,11 @@ def test_every_parameter_is_varied_here():
 @pytest.mark.parametrize("parameter", VARIATIONS)
 def test_a_method_depends_on_what_it_says_it_uses_and_on_nothing_else(frames, method, parameter):
     context, *values = VARIATIONS[parameter]
+    last = {**context, parameter: values[1]}
+    if method == "tvl1_sb_alpha_ic" and {**ONLY, **last} != {**last, **ONLY}:
+        with pytest.raises(InputError, match="tvl1_sb_alpha_ic needs"):
+            flow(method, frames, **last)
+        return
     first, second = (flow(method, frames, **{**context, parameter: value}) for value in values)
     assert np.isfinite(first).all()
     assert np.array_equal(first, second) == (parameter not in get_method(method).uses)

@@ -49,15 +49,21 @@ class CosineGradient(GradientOperator):
         The sum of ``w[0, 0]``, cosine coefficients along x, and ``w[0, 1]``, along y, is the right-hand side. The
         cosine coefficients of u along x and along y overwrite them.
         """
-        height, width = self.shape
-        to_y, to_x = self._unscaled_y, self._unscaled_x
         in_x, in_y = w[0]
         along_y, along_x = system
-        parallel_for(lambda a, b: cosine(in_x, 0, a, b, *to_y, in_x), width)
-        parallel_for(lambda a, b: cosine(in_y, 1, a, b, *to_x, in_y), height)
-        parallel_for(lambda a, b: add_and_divide(in_x, in_y, along_y, along_x, a, b), height)
-        parallel_for(lambda a, b: cosine_back(in_x, 1, a, b, *to_x, in_y), height)
-        parallel_for(lambda a, b: cosine_back(in_x, 0, a, b, *to_y, in_x), width)
+        self.complete(w)
+        parallel_for(lambda a, b: add_and_divide(in_x, in_y, along_y, along_x, a, b), self.shape[0])
+        self.halve(w)
+
+    def complete(self, w: Array) -> None:
+        """Turn both parts of a right-hand side, ``w[0]`` of `divide`, into cosine coefficients along both axes."""
+        parallel_for(lambda a, b: cosine(w[0, 0], 0, a, b, *self._unscaled_y, w[0, 0]), self.shape[1])
+        parallel_for(lambda a, b: cosine(w[0, 1], 1, a, b, *self._unscaled_x, w[0, 1]), self.shape[0])
+
+    def halve(self, w: Array) -> None:
+        """Turn cosine coefficients along both axes, ``w[0, 0]``, into those along x, and along y, ``w[0, 1]``."""
+        parallel_for(lambda a, b: cosine_back(w[0, 0], 1, a, b, *self._unscaled_x, w[0, 1]), self.shape[0])
+        parallel_for(lambda a, b: cosine_back(w[0, 0], 0, a, b, *self._unscaled_y, w[0, 0]), self.shape[1])
 
     def transform(self, u: Array, w: Array) -> None:
         """Write the cosine coefficients of `u` along x and along y to ``w[0, 0]`` and ``w[0, 1]``."""

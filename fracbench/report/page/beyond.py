@@ -7,12 +7,13 @@ from fracbench.report.page.exhibits import document, drawn, place
 from fracbench.report.sources import Sources
 
 #: In the order in which they are told.
-EXPERIMENTS = ("alpha_by_structure", "adaptive_alpha", "accurate")
+EXPERIMENTS = ("alpha_by_structure", "adaptive_alpha", "order_from_flow", "accurate")
 
 _LEAD = (
     "The paper ends with the wish to “detect a priori the type of structures the image presents and adjust alpha "
     "accordingly”. Here the order of the gradient adapts from pixel to pixel: at each scale the structure tensor "
-    "of the first frame sorts pixels into flat, edge, corner and texture, and each class has its own α. Every "
+    "of the first frame sorts pixels into flat, edge, corner and texture, and each class has its own α. Then the "
+    "flow itself chooses: it is the sum of two parts of different orders. Every "
     "choice by errors is scored leave-one-out, on another sequence than those it is made on; a choice by the "
     "true flow is an oracle bound. `make beyond` computes this section."
 )

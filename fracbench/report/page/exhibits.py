@@ -105,6 +105,7 @@ _VARIANTS = {
     "classes": "By class of pixels.",
     "scenes": "The scenes, under the colours of their classes.",
     "frames": "The first frames, under the colours of their classes.",
+    "parts": "Both parts of the flow and their sum in the colours of one scale, and the share of q in its change.",
     "orders": "The first frames, under the colours of their classes and of the orders chosen by the true flow.",
 }
 _ALT = {
@@ -112,6 +113,7 @@ _ALT = {
     "adaptive_alpha": "gains in end-point error by sequence, and by class of pixels the orders that are best",
     "alpha_by_structure": "curves of the error relative to that at alpha 1, a panel a structure",
     "alpha_regions": "curves of mean angular and mean end-point error against alpha, two panels a region",
+    "order_from_flow": "flow in colours: both parts and their sum, and a map of the part that carries the change",
     "frames": "one frame of each of the eight sequences",
     "region_boxes": "frames of the sequences with the boxes of regions A and B drawn on them",
 }

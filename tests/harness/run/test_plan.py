@@ -183,7 +183,8 @@ OTHER = {
     "epsilon_squared": "false", "dtype": "float64", "coupling": "penalty", "coupling_step": "2",
     "relaxation": "1.1", "alpha_flat": "0.9", "alpha_edge": "0.9", "alpha_corner": "0.9", "alpha_texture": "0.9",
     "lambda_gradient": "1", "derivatives": "both", "edge_decay": "0.1", "edge_power": "1", "median_radius": "1",
-    "weighted_radius": "2", "finest_scale": "1", "texture": "0.95", "occlusion": "none",
+    "weighted_radius": "2", "finest_scale": "1", "texture": "0.95", "occlusion": "none", "alpha_smooth": "1.6",
+    "smooth_weight": "3",
 }  # fmt: skip
 
 
@@ -191,7 +192,7 @@ def test_every_parameter_is_varied_here():
     assert set(OTHER) == set(FlowParams.names())
 
 
-@pytest.mark.parametrize("method", ["tvl1", "tvl1_sb", "tvl1_sb_alpha", "tvl1_sb_alpha_map"])
+@pytest.mark.parametrize("method", ["tvl1", "tvl1_sb", "tvl1_sb_alpha", "tvl1_sb_alpha_map", "tvl1_sb_alpha_ic"])
 @pytest.mark.parametrize("name", sorted(OTHER))
 def test_a_key_changes_with_a_parameter_exactly_if_the_method_uses_it(method, name):
     base = [FLAT, f"method={method}"]

@@ -1,4 +1,4 @@
-"""Rendered scenes with exact flow: eight of several structures, and six of one (`single_structure`).
+"""Rendered scenes with exact flow: eight large ones, six of one structure, and two that mix two kinds of motion.
 
 A scene is a stack of layers. Each has a texture (a sum of cosines, defined at every real point), a support (a
 signed distance, in the layer's own coordinates) and an invertible motion phi. Frame 0 shows the layer at p, frame
@@ -17,6 +17,8 @@ from collections.abc import Callable
 import numpy as np
 
 from fracbench.data.datasets.base import Dataset
+from fracbench.data.datasets.synthetic import mixed_structure, single_structure
+from fracbench.data.datasets.synthetic.mixed_structure import MIXED_STRUCTURE
 from fracbench.data.datasets.synthetic.rendering import (
     Layer,
     Motion,
@@ -27,20 +29,20 @@ from fracbench.data.datasets.synthetic.rendering import (
     half_plane,
     true_flow,
 )
-from fracbench.data.datasets.synthetic.single_structure import BUILDERS, SINGLE_STRUCTURE
+from fracbench.data.datasets.synthetic.single_structure import SINGLE_STRUCTURE
 from fracbench.data.pair import FramePair
 from fracbench.errors import InputError, match_name
 
 GENERATOR_VERSION = 1  # part of every digest: raise it whenever a rendered value may change
 SCENES = ("flat", "edge", "corner", "parallax", "rotation", "zoom", "occlusion", "large")
-ALL = (*SCENES, *SINGLE_STRUCTURE)
+ALL = (*SCENES, *SINGLE_STRUCTURE, *MIXED_STRUCTURE)  # a scene's place is part of its random numbers
 
 #: Height and width of each scene, unless another is asked for.
 SHAPES = {
     **dict.fromkeys(SCENES, (128, 160)),
     "corner": (127, 161),
     "zoom": (129, 160),
-    **dict.fromkeys(SINGLE_STRUCTURE, (96, 96)),
+    **dict.fromkeys((*SINGLE_STRUCTURE, *MIXED_STRUCTURE), (96, 96)),
 }
 _MIN_SIDE = 8
 
@@ -54,7 +56,7 @@ def scene(name: str, *, shape: tuple[int, int] | None = None, noise: float = 0.0
         One of `ALL`, without regard to case: ``flat`` (weak texture, slow affine motion), ``edge`` (a straight
         motion edge), ``corner`` (a moving right angle), ``parallax`` (three depths), ``rotation`` (4 degrees),
         ``zoom`` (4 %), ``occlusion`` (a disc crosses), ``large`` (11 pixels, and a small disc); the scenes of one
-        structure are described in `fracbench.data.datasets.synthetic.single_structure`.
+        structure and of two are described in the modules `single_structure` and `mixed_structure` beside this one.
     shape : (int, int), optional
         Height and width; that of `SHAPES` if not given. Motions stay as they are.
     noise : float, optional
@@ -177,7 +179,8 @@ _LAYERS: dict[str, Callable[[SceneBuilder], tuple[Layer, ...]]] = {
     "zoom": _zoom,
     "occlusion": _occlusion,
     "large": _large,
-    **BUILDERS,
+    **single_structure.BUILDERS,
+    **mixed_structure.BUILDERS,
 }
 
 DATASET = Dataset(

@@ -46,22 +46,22 @@ _MOTIONS = 100  # stream of random numbers: those of textures count from 0
 
 
 def _flat(s: SceneBuilder) -> tuple[Layer, ...]:
-    return (Layer(s.texture(0, peak=WEAK), Motion(_dice(s)[0])),)
+    return (Layer(s.texture(0, peak=WEAK), Motion(dice(s)[0])),)
 
 
 def _edge(s: SceneBuilder) -> tuple[Layer, ...]:
-    _, degrees = _dice(s)
+    _, degrees = dice(s)
     return _step(s, half_plane(s.centre, degrees))
 
 
 def _corner(s: SceneBuilder) -> tuple[Layer, ...]:
-    _, degrees = _dice(s)
+    _, degrees = dice(s)
     return _step(s, both(half_plane(s.centre, degrees), half_plane(s.centre, degrees + 90.0)))
 
 
 def _step(s: SceneBuilder, support: Callable[[Plane, Plane], Plane]) -> tuple[Layer, ...]:
     """Return a bright surface before a dark one that moves against it at half its speed."""
-    (right, down), _ = _dice(s)
+    (right, down), _ = dice(s)
     return (
         Layer(s.texture(0, peak=WEAK, mean=MID_GRAY - STEP), Motion((-0.5 * right, -0.5 * down))),
         Layer(s.texture(1, peak=WEAK, mean=MID_GRAY + STEP), Motion((right, down)), support),
@@ -69,7 +69,7 @@ def _step(s: SceneBuilder, support: Callable[[Plane, Plane], Plane]) -> tuple[La
 
 
 def _parallax(s: SceneBuilder) -> tuple[Layer, ...]:
-    (right, down), degrees = _dice(s)
+    (right, down), degrees = dice(s)
     return (
         Layer(s.texture(0, peak=STRONG), Motion((0.75 * right, 0.75 * down))),
         Layer(s.texture(1, peak=STRONG), Motion((1.5 * right, 1.5 * down)), half_plane(s.centre, degrees)),
@@ -77,7 +77,7 @@ def _parallax(s: SceneBuilder) -> tuple[Layer, ...]:
 
 
 def _affine(s: SceneBuilder) -> tuple[Layer, ...]:
-    (right, down), degrees = _dice(s)
+    (right, down), degrees = dice(s)
     nx, ny = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
     speed = math.hypot(right, down)
     wx, wy = SLANT * right / speed, SLANT * down / speed
@@ -86,12 +86,12 @@ def _affine(s: SceneBuilder) -> tuple[Layer, ...]:
 
 
 def _curl(s: SceneBuilder) -> tuple[Layer, ...]:
-    velocity, degrees = _dice(s)
+    velocity, degrees = dice(s)
     turn = TURN if degrees < 180.0 else -TURN
     return (Layer(s.texture(0, peak=STRONG), Swirl(velocity, s.centre, turn, SWIRL_SIZE * min(s.shape))),)
 
 
-def _dice(s: SceneBuilder) -> tuple[Vector, float]:
+def dice(s: SceneBuilder) -> tuple[Vector, float]:
     """Return a velocity and a direction in degrees, the same at every call."""
     rng = s.random(_MOTIONS)
     speed, heading, degrees = rng.uniform(*SPEEDS), rng.uniform(0.0, 2.0 * math.pi), rng.uniform(0.0, 360.0)
