@@ -26,6 +26,7 @@ VARIATIONS = {
     "epsilon": ({}, 0.1, 1e-3),
     "eta": ({}, 0.5, 0.7),
     "n_scales": ({}, None, 1),
+    "finest_scale": ({}, 0, 1),
     "n_warps": ({}, 3, 1),
     "max_iter": ({"epsilon": 1e-4}, 10, 2),
     "presmoothing": ({}, 0.6, 1.2),
