@@ -99,6 +99,7 @@ class Method:
         if self.params is not FlowParams:
             _check_params(self.params, f"method {self.name!r}: `params`")
         object.__setattr__(self, "uses", frozenset(self.names if self.uses is _ALL else self.uses))
+        object.__setattr__(self, "options", frozenset(self.options))
         for name in self.options - _OPTIONS:
             raise unknown_name("option", name, _OPTIONS, f"method {self.name!r}")
         for name in self.uses.union(self.younger).difference(self.names):

@@ -246,3 +246,26 @@ def test_the_reserved_names_are_those_of_keys_and_columns(fake_rows):
     assert not RESERVED & set(FlowParams.names())
     with pytest.raises(InputError, match="taken"):
         Method("a", "a", "a", print, params=dataclasses.make_dataclass("P", [("seed", int, 1)], frozen=True))
+
+
+def test_a_method_gets_the_options_that_it_names_and_no_others():
+    seen = []
+
+    def estimate(frame0, frame1, params, **options):
+        seen.append(options)
+        return np.zeros((2, *frame0.shape))
+
+    frames, mask = np.zeros((2, 9, 9)), np.eye(9, dtype=bool)
+    taking = Method("taking", "T", "takes a mask", estimate, params=Plain, options=("mask",))
+    taking.compute(*frames, Plain(), mask=mask)
+    taking.compute(*frames, Plain())
+    assert list(seen[0]) == ["mask"] and seen[0]["mask"] is mask and seen[1] == {}
+    with pytest.raises(InputError, match="method 'taking' takes no `initial_flow`"):
+        taking.compute(*frames, Plain(), initial_flow=np.zeros((2, 9, 9)))
+    with pytest.raises(InputError, match="unknown option 'maks': did you mean 'mask'"):
+        Method("other", "O", "takes more", estimate, params=Plain, options=frozenset({"maks"}))
+
+
+@dataclasses.dataclass(frozen=True)
+class Plain:
+    """No parameters."""
