@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fracbench.api import estimate_flow
+    from fracbench.clips import estimate_flows
     from fracbench.data.datasets.base import Dataset
     from fracbench.data.pair import FramePair
     from fracbench.methods.method import Method
@@ -15,11 +16,20 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 __all__ = [
-    "Confidence", "Dataset", "FlowParams", "FlowResult", "FramePair", "Method", "__version__", "estimate_flow"
-]  # fmt: skip
+    "Confidence",
+    "Dataset",
+    "FlowParams",
+    "FlowResult",
+    "FramePair",
+    "Method",
+    "__version__",
+    "estimate_flow",
+    "estimate_flows",
+]
 
 _HOMES = {
     "estimate_flow": "fracbench.api",
+    "estimate_flows": "fracbench.clips",
     "FlowResult": "fracbench.model.coarse_to_fine",
     "Confidence": "fracbench.model.confidence",
     "FlowParams": "fracbench.model.params",

@@ -22,6 +22,7 @@ MAY_IMPORT = {
     "evaluation": ("errors", "model.structure", "model.kernels.jit"),
     "methods": ("errors", "model"),
     "api": (*_SOLVER, "harness.config"),
+    "clips": ("errors", "api", "model.coarse_to_fine"),
     "harness.config": _SOLVER,
     "harness.run": (*_SOLVER, "evaluation", "harness.config"),
     "harness.check": (*_SOLVER, "evaluation", "harness.config", "harness.run"),

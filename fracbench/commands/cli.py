@@ -170,6 +170,23 @@ def _add_flows(add: _Add) -> None:
     estimate.add_argument("--confidence", help="picture of the trust in each pixel; doubles the time", **file)
     estimate.add_argument("--threads", type=int, default=1, metavar="N", help="number of threads (default: 1)")
     estimate.add_argument("--method", metavar="NAME", help="name of a method, see fracbench methods")
+    clip = add(
+        "estimate-sequence",
+        _estimate_sequence,
+        "compute the flows of a clip, from each frame to the next",
+    )
+    clip.add_argument("frames", nargs="+", metavar="FRAMES", help="images, folders, globs in quotes, or one video")
+    clip.add_argument(
+        "overrides", nargs="*", metavar="KEY=VALUE", help="parameters, e.g. alpha=1.2, or protocol=accurate"
+    )
+    clip.add_argument(
+        "-o", "--output", required=True, type=Path, metavar="FOLDER", help="folder of the flows and their pictures"
+    )
+    clip.add_argument("--jobs", type=int, default=2, metavar="N", help="number of worker processes (default: 2)")
+    clip.add_argument("--method", metavar="NAME", help="name of a method, see fracbench methods")
+    clip.add_argument(
+        "--max-motion", type=float, metavar="PX", help="speed of the full colours (default: from the flows)"
+    )
 
 
 def _add_upkeep(add: _Add) -> None:
@@ -320,6 +337,22 @@ def _estimate(arguments: argparse.Namespace) -> None:
         threads=arguments.threads,
         overrides=arguments.overrides,
     )
+
+
+def _estimate_sequence(arguments: argparse.Namespace) -> int:
+    from fracbench.commands.estimate_sequence import estimate_sequence
+
+    # argparse gives all words up to the first option to the frames
+    settings = [word for word in arguments.frames if "=" in word and not os.path.lexists(word)]
+    whole = estimate_sequence(
+        [word for word in arguments.frames if word not in settings],
+        arguments.output,
+        overrides=[*settings, *arguments.overrides],
+        method=arguments.method,
+        jobs=arguments.jobs,
+        max_motion=arguments.max_motion,
+    )
+    return EXIT_DONE if whole else EXIT_FAILED
 
 
 def _check(arguments: argparse.Namespace) -> int:

@@ -127,7 +127,9 @@ def parallel_map(
     from joblib import delayed
 
     pool = _parallel(min(jobs, max(len(arguments), 1)), return_as="generator")
-    return _results(pool(delayed(function)(*each) for each in arguments), kept)
+    with _ctrl_c_ignored():
+        results = pool(delayed(function)(*each) for each in arguments)
+    return _results(results, kept)
 
 
 def _results(results: Iterator[T], kept: str) -> Iterator[T]:

@@ -1,0 +1,347 @@
+"""Flows of a clip, from each frame to the next: in several processes, resumable, drawn on one colour scale."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import os
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from fracbench.commands import console
+from fracbench.data import clip as files
+from fracbench.data.manifest import Entry, Manifest, add_entry, file_digest
+from fracbench.errors import FracbenchError, InputError
+
+SHEET, VIDEO, FRAMES = "contact_sheet.png", "flow.mp4", "frames"
+#: Full colour is for a speed that this share of the pixels keeps below, in this share of the flows: some wild
+#: pixels, or a cut between two scenes, shall not make the whole clip pale. Of up to ten flows it is the fastest.
+_PIXELS, _FLOWS = 0.999, 0.9
+_TRIAL = 32  # pixels a side
+_KEPT = "the flows that are finished are kept"
+
+
+class Frame(NamedTuple):
+    """A picture of the clip: its file's digest, its height and width, or the reason why it cannot be used."""
+
+    path: Path
+    digest: str = ""
+    shape: tuple[int, ...] = ()
+    error: str = ""
+
+
+class Settings(NamedTuple):
+    """Arguments of `estimate_flow`, the digest of all that they stand for, their name; if the method is ours."""
+
+    given: dict[str, Any]
+    digest: str
+    name: str
+    ours: bool
+
+
+class Outcome(NamedTuple):
+    """The entry of a flow in the manifest, or the reason why there is none."""
+
+    entry: Entry | None
+    error: str = ""
+    notices: Sequence[str] = ()
+
+
+def estimate_sequence(
+    words: Sequence[str],
+    output: Path,
+    *,
+    overrides: Sequence[str] = (),
+    method: str | None = None,
+    jobs: int = 2,
+    max_motion: float | None = None,
+) -> bool:
+    """Compute and draw the flows of a clip into a folder; return whether there is one of each frame but the last.
+
+    `words` name pictures, folders, globs or one video; `max_motion` is the speed of the full colours in pixels.
+    """
+    from fracbench.commands.run import require_workers
+
+    require_workers(jobs)
+    if max_motion is not None and not 0.0 < max_motion < float("inf"):
+        raise InputError(f"--max-motion must be a positive number of pixels, got {max_motion:g}")
+    settings = _settings(overrides, method)
+    paths, rate, fault = files.find_frames(words), files.RATE, ""
+    manifest = Manifest(output)
+    _require_apart(words, paths, manifest)
+    if paths[0].suffix.lower() in files.VIDEOS:
+        paths, rate, fault = _frames_of(paths[0], manifest)
+    elif len(paths) < 2:
+        raise InputError(f"{paths[0]}: a clip has two or more frames, got one")
+    frames = _look(paths, jobs)
+    pairs = [(a, b) for a, b in itertools.pairwise(frames) if not a.error and not b.error]
+    errors = [frame.error for frame in frames if frame.error]
+    if not pairs:
+        raise InputError(f"no two frames in a row can be used: {errors[0]}")
+    names = _compute(pairs, settings, manifest, jobs, [fault, *errors] if fault else errors)
+    if names:
+        _draw(frames, names, manifest, jobs, max_motion, rate)
+    missing = len(frames) - 1 - len(names)
+    if missing:
+        console.complain(f"missing flows: {missing} of {len(frames) - 1}; the same command tries them again")
+    return not missing and not fault
+
+
+# -- before anything is computed -----------------------------------------------------------------
+
+
+def _settings(overrides: Sequence[str], method: str | None) -> Settings:
+    from fracbench.api import DEFAULT_PROTOCOL, settings_of
+    from fracbench.harness.config.grid import parse_overrides
+    from fracbench.model import SOLVER_VERSION
+
+    grid = parse_overrides(overrides)
+    if grid.size > 1:
+        raise InputError(f"estimate-sequence takes one value a parameter ({' '.join(overrides)})")
+    given: dict[str, Any] = next(grid.points())
+    protocol = given.pop("protocol", DEFAULT_PROTOCOL)
+    chosen, params = settings_of(protocol, method, given)
+    known = json.dumps([SOLVER_VERSION, chosen.name, chosen.stamp, chosen.values(params)])
+    changes = "".join(f" {token}" for token in overrides if token != f"protocol={protocol}")
+    return Settings(
+        {"protocol": protocol, "method": method, **given},
+        hashlib.sha256(known.encode()).hexdigest(),
+        f"{chosen.name} (preset {protocol}{f' with{changes}' if changes else ''})",
+        not (chosen.package or chosen.requires),
+    )
+
+
+def _require_apart(words: Sequence[str], paths: Sequence[Path], manifest: Manifest) -> None:
+    """Refuse an output folder where flows would meet frames, each other, or files that somebody else wrote."""
+    folder = manifest.folder
+    stems: dict[str, Path] = {}
+    for path in paths:
+        if Path(os.path.realpath(path)).parent == Path(os.path.realpath(folder)):
+            raise InputError(f"{path}: this file lies in the output folder {str(folder)!r}; choose another")
+        if path.stem in stems:
+            raise InputError(f"{stems[path.stem]} and {path}: both flows would be {path.stem}.flo; rename one")
+        if f"{path.stem}.png" == SHEET:
+            raise InputError(f"{path}: its flow would be drawn in {SHEET}, which is the contact sheet; rename it")
+        stems[path.stem] = path
+    written = [*(f"{stem}{suffix}" for stem in stems for suffix in (".flo", ".png")), SHEET, VIDEO]
+    for word in words:
+        if not os.path.lexists(word) and any(_matches(folder / name, word) for name in written):
+            raise InputError(f"{folder}: {word!r} would match the pictures in this output folder too")
+    for name in [] if manifest.exists else written:
+        if os.path.lexists(folder / name):
+            raise InputError(f"{folder / name}: not from an earlier run; choose another output folder")
+
+
+def _matches(path: Path, pattern: str) -> bool:
+    """Return whether a glob matches a path, part by part; ``**`` is any number of parts."""
+    parts, patterns = path.absolute().parts, Path(pattern).absolute().parts
+
+    def match(i: int, j: int) -> bool:
+        if j == len(patterns):
+            return i == len(parts)
+        if patterns[j] == "**":
+            return any(match(k, j + 1) for k in range(i, len(parts) + 1))
+        return i < len(parts) and fnmatchcase(parts[i], patterns[j]) and match(i + 1, j + 1)
+
+    return match(0, 0)
+
+
+def _frames_of(video: Path, manifest: Manifest) -> tuple[list[Path], float, str]:
+    """Return the frames of a video as pictures in the output folder, its rate, and how it is damaged, if it is."""
+    from fracbench.data.files import write_image
+
+    made_from = {"video": file_digest(video)}
+    folder = manifest.folder / FRAMES
+
+    def paths(count: int) -> Iterable[Path]:
+        return (folder / f"{video.stem}_{i:06d}.png" for i in range(count))
+
+    known = Manifest(folder)
+    name = f"{video.stem}_000000.png"
+    if not known.why(name, made_from, "count", "rate"):
+        entry = known.entries[name]
+        found = [*itertools.takewhile(Path.is_file, paths(int(entry["count"])))]
+        if len(found) == entry["count"] >= 2:
+            return found, float(entry["rate"]), str(entry.get("fault", ""))
+    if not known.exists and os.path.lexists(folder / name):
+        raise InputError(f"{folder / name}: not from an earlier run; choose another output folder")
+    begun = list(itertools.islice(files.read_video(video), 2))
+    if len(begun) < 2:
+        raise InputError(f"{video}: a clip has two or more frames, got {len(begun)}")
+    console.note(f"reading the frames of {video}")
+    manifest.begin()
+    known.begin()
+    count, fault = 0, ""
+    try:
+        for picture, _ in files.read_video(video):
+            write_image(folder / f"{video.stem}_{count:06d}.png", picture)
+            count += 1
+    except InputError as exc:
+        fault = f"{exc}; the {count} frames before the fault are used"
+    rate = begun[0][1]
+    add_entry(folder / name, made_from, count=count, rate=rate, fault=fault)
+    return [*paths(count)], rate, fault
+
+
+def _look(paths: Sequence[Path], jobs: int) -> list[Frame]:
+    """Read all frames; those that cannot be read, or are of another size than most, have an error."""
+    calls = [(path.absolute(), str(path)) for path in paths]
+    frames: list[Frame] = list(_in_processes(_read, calls, jobs, "frames"))
+    shapes = Counter(frame.shape for frame in frames if not frame.error)
+    for i, frame in enumerate(frames):
+        if not frame.error and frame.shape != (common := shapes.most_common(1)[0][0]):
+            (height, width), (most_height, most_width) = frame.shape, common
+            found, usual = f"{width} x {height}", f"{most_width} x {most_height}"
+            error = f"{paths[i]}: {found} pixels (width x height), but most frames have {usual}"
+            frames[i] = frame._replace(error=error)
+    return frames
+
+
+# -- flows and pictures --------------------------------------------------------------------------
+
+
+def _compute(
+    pairs: Sequence[tuple[Frame, Frame]], settings: Settings, manifest: Manifest, jobs: int, errors: Sequence[str]
+) -> list[str]:
+    """Compute the flows that are missing, print what happened, and return the names of all that are there."""
+    from fracbench.api import estimate_flow
+
+    folder = manifest.folder.absolute()
+    made_from = {a.path.stem: {"frames": [a.digest, b.digest], "settings": settings.digest} for a, b in pairs}
+    why = {name: manifest.why(f"{name}.flo", made, "speed") for name, made in made_from.items()}
+    calls = [
+        (a.path, b.path, folder / f"{a.path.stem}.flo", settings, made_from[a.path.stem])
+        for a, b in pairs
+        if why[a.path.stem]
+    ]
+    if calls and settings.ours:  # others may need more than a blank frame
+        import numpy as np
+
+        # Refuses settings and sizes that no flow can have, and compiles before there are processes.
+        blank = np.zeros([min(n, _TRIAL) for n in pairs[0][0].shape])
+        estimate_flow(blank, blank, **settings.given)
+    manifest.begin()
+    for error in errors:
+        console.complain(error)
+    failed: dict[str, list[str]] = {}
+    notices: dict[str, None] = {}
+    for call, outcome in zip(calls, _in_processes(_estimate, calls, jobs, "flows"), strict=True):
+        name = call[2].stem
+        notices |= dict.fromkeys(outcome.notices)
+        if outcome.entry is None:
+            failed.setdefault(outcome.error, []).append(name)
+        else:
+            manifest.entries[f"{name}.flo"] = outcome.entry
+    for notice in notices:
+        console.note(f"note: {notice}")
+    for error, names in failed.items():
+        console.complain(f"no flow from {', '.join(names)}: {error}")
+    without = set(itertools.chain(*failed.values()))
+    reasons = Counter(why[call[2].stem] for call in calls if call[2].stem not in without)
+    told = ", ".join(f"{count} {reason}" for reason, count in sorted(reasons.items()))
+    console.say(
+        f"{settings.name}, flows: {reasons.total()} computed{f' ({told})' if told else ''}, "
+        f"{len(pairs) - len(calls)} kept"
+    )
+    return [name for name in made_from if name not in without]
+
+
+def _draw(
+    frames: Sequence[Frame],
+    names: Sequence[str],
+    manifest: Manifest,
+    jobs: int,
+    max_motion: float | None,
+    rate: float,
+) -> None:
+    """Draw all flows on one colour scale, then the contact sheet and, with the extra `video`, the video."""
+    import numpy as np
+
+    from fracbench.data.files import atomic_path, read_image
+    from fracbench.figures.contact_sheet import chosen, contact_sheet
+    from fracbench.figures.style import render
+
+    folder = manifest.folder
+    flows = {name: manifest.entries[f"{name}.flo"] for name in names}
+    speeds = [float(entry["speed"]) for entry in flows.values()]
+    scale = max_motion or float(np.quantile(speeds, _FLOWS, method="higher")) or 1.0
+    made_from = {name: {"flow": entry["digest"], "colour scale": scale} for name, entry in flows.items()}
+    todo = [name for name in names if manifest.why(f"{name}.png", made_from[name])]
+    calls = [(folder.absolute() / name, made_from[name], scale) for name in todo]
+    for _ in _in_processes(_paint, calls, jobs, "pictures"):
+        pass
+    console.say(f"wrote the flows (NAME.flo) and their pictures (NAME.png) to {folder}")
+    console.say(f"colours: full at {scale:.3g} px a frame")
+
+    def picture(name: str) -> Any:
+        return read_image(folder / f"{name}.png")
+
+    title = f"Flow from each frame to the next, {len(names)} in all"
+    shown = [(name, picture(name)) for name in chosen(names)]
+    first = next(frame.path for frame in frames if frame.path.stem == names[0])
+    with atomic_path(folder / SHEET) as temporary:
+        temporary.write_bytes(render(contact_sheet(read_image(first), shown, scale, title), "png"))
+    console.say(f"wrote {folder / SHEET}")
+    if files.has_video():
+        files.write_video(folder / VIDEO, map(picture, names), rate)
+        console.say(f"wrote {folder / VIDEO}")
+    else:
+        console.note("note: no video of the colours is written: pip install 'fracbench[video]'")
+
+
+def _in_processes(function: Any, calls: Sequence[tuple[Any, ...]], jobs: int, label: str) -> Iterable[Any]:
+    """Yield the results of calls in order, with a progress bar."""
+    from fracbench.harness.run.pool import parallel_map
+
+    if not calls:
+        return
+    with console.progress(len(calls), label) as advance:
+        for result in parallel_map(function, calls, jobs, _KEPT):
+            advance()
+            yield result
+
+
+# -- in a worker process -------------------------------------------------------------------------
+
+
+def _read(path: Path, shown: str) -> Frame:
+    """Read a frame; messages call it as the user does."""
+    from fracbench.data.files import decode_image, read_bytes
+
+    try:
+        data = read_bytes(path)
+        shape = decode_image(data, shown).shape[:2]
+    except InputError as exc:
+        return Frame(path, error=str(exc).replace(str(path), shown))
+    return Frame(path, hashlib.sha256(data).hexdigest(), shape)
+
+
+def _estimate(frame0: Path, frame1: Path, output: Path, settings: Settings, made_from: dict[str, Any]) -> Outcome:
+    import numpy as np
+
+    from fracbench.api import estimate_flow
+    from fracbench.data.files import read_image, write_flow
+    from fracbench.methods.method import described
+
+    try:
+        result = estimate_flow(read_image(frame0), read_image(frame1), **settings.given)
+    except Exception as exc:  # a peer may raise anything, and the other flows go on
+        return Outcome(None, str(exc) if isinstance(exc, FracbenchError) else described(exc))
+    if result.stop_reason == "diverged":
+        return Outcome(None, "the computation diverged; smaller lambda or theta may help", result.notices)
+    write_flow(output, result.flow)
+    speed = float(np.quantile(np.hypot(*result.flow), _PIXELS))
+    return Outcome(add_entry(output, made_from, speed=speed), notices=result.notices)
+
+
+def _paint(stem: Path, made_from: dict[str, Any], scale: float) -> None:
+    from fracbench.data.files import read_flow, write_image
+    from fracbench.figures.flowcolor import flow_to_color
+
+    picture = stem.with_name(f"{stem.name}.png")
+    write_image(picture, flow_to_color(read_flow(stem.with_name(f"{stem.name}.flo")), scale))
+    add_entry(picture, made_from)
