@@ -47,6 +47,9 @@ def estimate_pair(
         raise InputError(f"estimate takes one value a parameter ({' '.join(overrides)}); use sweep for grids")
     given: dict[str, Any] = next(grid.points())
     protocol = given.pop("protocol", DEFAULT_PROTOCOL)
+    if method and "method" in given:
+        raise InputError(f"--method {method} and method={given['method']}: give one of them")
+    method = given.pop("method", method)
     chosen, settings = settings_of(protocol, method, given)  # which refuses what is wrong before anything is read
     picture = color or picture_beside(output)
     inputs = [path for path in (frame0, frame1, truth, mask, initial_flow) if path is not None]
@@ -69,7 +72,7 @@ def estimate_pair(
         threads=threads,
         **given,
     )
-    changes = " ".join(token for token in overrides if token != f"protocol={protocol}")
+    changes = " ".join(token for token in overrides if not token.startswith(("protocol=", "method=")))
     say_result(result, f"preset {protocol} with {changes}" if changes else f"preset {protocol}")
     if expected is not None:
         say_errors(result.flow, expected)

@@ -146,6 +146,8 @@ def test_truths_that_cannot_be_used(files, refused, truth, named):
         (["finest_scale=-1"], "`finest_scale` must be at least 0, got -1"),
         (["finest_scale=0.5"], "`finest_scale` must be a whole number"),
         (["protocol=quick"], "unknown protocol 'quick'"),
+        (["method=tvl2"], "unknown method 'tvl2': did you mean 'tvl1'?"),
+        (["--method", "tvl1", "method=tvl1_sb"], "--method tvl1 and method=tvl1_sb: give one of them"),
     ],
 )
 def test_masks_and_initial_flows_that_cannot_be_used(files, refused, extra, named):
@@ -222,7 +224,6 @@ def test_pixels_that_are_infinite(bad):
         (["alpha=0:2:1"], "estimate takes one value a parameter (alpha=0:2:1); use sweep"),
         (["region=grove2_A"], "unknown parameter 'region'"),
         (["protocol=acurate"], "unknown protocol 'acurate': did you mean 'accurate'?"),
-        (["method=tvl1"], "unknown parameter 'method'"),
         (["frame0=1"], "unknown parameter 'frame0'"),
         (["trace=true"], "unknown parameter 'trace'"),
         (["--method", "tvl2"], "unknown method 'tvl2': did you mean 'tvl1'?"),

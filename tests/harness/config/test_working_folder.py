@@ -88,6 +88,8 @@ def test_an_estimate_takes_a_protocol_of_the_working_folder(images, cli):
     done = cli("estimate", "a.png", "b.png", "-o", "out.flo", "protocol=mine", "max_iter=2")
     assert done.code == EXIT_DONE
     assert done.out.startswith("tvl1_sb_alpha (preset mine with max_iter=2): ")
+    done = cli("estimate", "a.png", "b.png", "-o", "out.flo", "method=tvl1", "max_iter=2")
+    assert done.out.startswith("tvl1 (preset recommended with max_iter=2): ")
 
 
 def test_the_projects_own_folder_and_a_copy_of_it_shadow_nothing(work, monkeypatch):
