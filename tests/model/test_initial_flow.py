@@ -7,7 +7,9 @@ import reference_impl as ref
 from fracbench import estimate_flow
 from fracbench.model import pyramid
 
-METHODS = pytest.mark.parametrize("method", ["tvl1", "tvl1_sb", "tvl1_sb_alpha", "tvl1_sb_alpha_map"])
+METHODS = pytest.mark.parametrize(
+    "method", ["tvl1", "tvl1_sb", "tvl1_sb_alpha", "tvl1_sb_alpha_map", "tvl1_sb_alpha_ic"]
+)
 QUICK = {"n_warps": 2, "max_iter": 5, "inner": "warm", "coupling": "multiplier", "u_solver": "exact"}
 MOTION = (11.4, -8.7)
 

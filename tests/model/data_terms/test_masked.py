@@ -26,6 +26,7 @@ VARIANTS = [
     {"method": "tvl1_sb_alpha", "coupling": "penalty", "max_iter": 40},
     {"method": "tvl1_sb_alpha", "boundary": "zero", "max_iter": 40},
     {"method": "tvl1_sb_alpha_map", "alpha_flat": 0.8},
+    {"method": "tvl1_sb_alpha_ic"},
     {"method": "tvl1_sb_alpha_map", "lambda_gradient": 1.0, "edge_decay": 0.2, "derivatives": "both"},
     {"method": "tvl1_sb_alpha_map", "texture": 0.8, "occlusion": "both", "median_radius": 1, "weighted_radius": 3},
 ]
