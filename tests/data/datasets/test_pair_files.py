@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -18,6 +17,7 @@ from fracbench.data.files import write_flow, write_image
 from fracbench.errors import DataError, InputError
 from fracbench.harness.run import compute_point
 from fracbench.harness.run.plan import make_plan
+from fracbench.methods.method import Method
 from fracbench.model.coarse_to_fine import FlowResult
 
 H, W = 24, 32
@@ -100,8 +100,7 @@ def flow_of_zeros(monkeypatch):
     def estimate(frame0, frame1, params):
         return FlowResult(np.zeros((2, *frame0.shape), np.float32), "none", params)
 
-    zero = SimpleNamespace(name="zero", stamp="", compute=estimate, restored=lambda params: params)
-    zero.require = lambda: zero
+    zero = Method("zero", "zero", "no motion", estimate)
     monkeypatch.setattr(compute_point, "get_method", lambda name: zero)
     monkeypatch.setattr(compute_point, "energy_growth", lambda *_, **__: None)
 
@@ -344,7 +343,7 @@ def test_every_dataset_is_listed_with_its_state(cli, work, no_middlebury, sintel
     (work / "data" / "sintel").symlink_to(sintel)
     done = cli("data")
     assert done.code == 2 and "the Middlebury data were not found" in done.err
-    assert "synthetic: 14 rendered scenes with exact flow\n" in done.out
+    assert "synthetic: 16 rendered scenes with exact flow\n" in done.out
     assert f"sintel: found at {sintel.resolve()}\n" in done.out
     for name in ("folder", "kitti2012", "kitti2015"):
         assert f"{name}: missing: give paths.data=FOLDER, or put it at data/{name}; " in done.out
