@@ -11,16 +11,17 @@ import fracbench
 
 ROOT = Path(fracbench.__file__).parent
 #: The rooms that each room may import from, besides itself.
-_SOLVER = ("errors", "data", "methods", "model")
+_SOLVER = ("errors", "entry_points", "data", "methods", "model")
 _HARNESS = (*_SOLVER, "evaluation", "harness")
 MAY_IMPORT = {
     "errors": (),
+    "entry_points": ("errors",),
     "model": ("errors",),
     "model.kernels": ("errors",),
     "model.operators": ("errors", "model.kernels"),
-    "data": ("errors",),
+    "data": ("errors", "entry_points"),
     "evaluation": ("errors", "model.structure", "model.kernels.jit"),
-    "methods": ("errors", "model"),
+    "methods": ("errors", "entry_points", "model"),
     "api": (*_SOLVER, "harness.config"),
     "clips": ("errors", "api", "model.coarse_to_fine"),
     "harness.config": _SOLVER,

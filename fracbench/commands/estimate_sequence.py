@@ -325,7 +325,7 @@ def _estimate(frame0: Path, frame1: Path, output: Path, settings: Settings, made
 
     from fracbench.api import estimate_flow
     from fracbench.data.files import read_image, write_flow
-    from fracbench.methods.method import described
+    from fracbench.entry_points import described
 
     try:
         result = estimate_flow(read_image(frame0), read_image(frame1), **settings.given)

@@ -6,15 +6,14 @@ import dataclasses
 import importlib.util
 import re
 import time
-import traceback
 import types
 import typing
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from fracbench.entry_points import described
 from fracbench.errors import FracbenchError, InputError, unknown_name
 from fracbench.model.params import FlowParams, coerce, public_name
 
@@ -253,13 +252,6 @@ class Method:
 def fields_of(params: Any) -> dict[str, Any]:
     """Return the values of a dataclass by field."""
     return {each.name: getattr(params, each.name) for each in dataclasses.fields(params)}
-
-
-def described(exc: BaseException) -> str:
-    """Return an error on one line, with the place in the code."""
-    message = f"{type(exc).__name__}: {exc}" if str(exc) else type(exc).__name__
-    place = traceback.extract_tb(exc.__traceback__)[-1]
-    return f"{' '.join(message.split())} ({Path(place.filename).name}:{place.lineno})"
 
 
 def _check_params(params: Any, what: str) -> None:

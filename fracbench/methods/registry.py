@@ -5,19 +5,17 @@ The module itself imports no numerics: planning a sweep needs names and paramete
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
-import logging
 from collections.abc import Callable, Mapping
-from functools import lru_cache, partial
+from functools import partial
 from typing import Any
 
-from fracbench.errors import InputError, unknown_name
-from fracbench.methods import packages
+from fracbench.entry_points import Offers
+from fracbench.errors import unknown_name
 from fracbench.methods.method import Method
 from fracbench.methods.peers import PEERS
 from fracbench.model.params import FlowParams
-
-_log = logging.getLogger(__name__)
 
 # Parameters of extensions: the paper's methods do not use them, nor do the keys of their results.
 _BEYOND = frozenset({
@@ -38,6 +36,9 @@ _BREGMAN = _PYRAMID | {
 }  # fmt: skip
 
 METHODS: dict[str, Method] = {}
+_OTHERS = Offers(
+    Method, METHODS, lambda method, package, release: dataclasses.replace(method, package=package, release=release)
+)
 DEFAULT_METHOD = "tvl1_sb_alpha"
 
 
@@ -57,37 +58,20 @@ def get_method(name: str) -> Method:
     """
     if name in METHODS:
         return METHODS[name]
-    if name in packages.offered():
-        return packages.load(name)
+    if name in _OTHERS:
+        return _OTHERS.load(name)
     raise unknown_name("method", name, method_names())
 
 
 def method_names() -> list[str]:
     """Return the names of all methods, sorted; no package is imported."""
-    _warn_of_taken_names()
-    return sorted({*METHODS, *packages.offered()})
-
-
-@lru_cache(maxsize=1)
-def _warn_of_taken_names() -> None:
-    for line in _taken_names():
-        _log.warning("%s", line)
-
-
-def _taken_names() -> list[str]:
-    return [packages.taken(name) for name in packages.offered() if name in METHODS]
+    return sorted([*METHODS, *_OTHERS.names()])
 
 
 def all_methods() -> tuple[list[Method], list[str]]:
     """Return all methods, ours first, and a line for each entry point that cannot be used."""
-    found, unusable = [*METHODS.values()], _taken_names()
-    for name in packages.offered():
-        if name not in METHODS:
-            try:
-                found.append(packages.load(name))
-            except InputError as exc:
-                unusable.append(str(exc))
-    return found, unusable
+    others, unusable = _OTHERS.load_all()
+    return [*METHODS.values(), *others], unusable
 
 
 def _ours(

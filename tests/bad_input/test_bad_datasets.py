@@ -15,7 +15,6 @@ from PIL import Image
 
 import fracbench
 from fracbench.commands.cli import main
-from fracbench.data.datasets import registry
 from fracbench.data.files import write_flo, write_flow, write_image
 from fracbench.data.read_once import MAX_BYTES
 
@@ -271,7 +270,7 @@ def make(**changes):
 def fail(*_, **__):
     raise KeyError("a bug")
 
-GOOD, TAKEN, OTHER = make(), make(name="sintel"), {"name": "other"}
+GOOD, TAKEN, OTHER = make(), make(name="synthetic"), {"name": "other"}
 MISNAMED = make(name="good")
 NO_PAIRS, NO_NAMES = make(name="no_pairs", names=lambda folder: []), make(name="no_names", names=fail)
 NO_SHAPE, NO_DIGEST = make(name="no_shape", shape=fail), make(name="no_digest", digest=lambda *_, **__: None)
@@ -281,7 +280,6 @@ ENTRIES = """
 [fracbench.datasets]
 good = good_package:GOOD
 twice = good_package:GOOD
-sintel = good_package:TAKEN
 other = good_package:OTHER
 misnamed = good_package:MISNAMED
 missing = good_package:MISSING
@@ -311,7 +309,6 @@ def packages(tmp_path_factory, work, monkeypatch) -> Path:
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: ours\nVersion: 2.0\n")
     (info / "entry_points.txt").write_text("[fracbench.datasets]\ntwice = good_package:OTHER\n")
     monkeypatch.syspath_prepend(site)
-    monkeypatch.setattr(registry, "_loaded", {})
     yield site
     sys.modules.pop("good_package", None)
 
@@ -323,7 +320,7 @@ PACKAGES = [
     ("no_module", "nowhere_to_be_found:DATASET cannot be loaded: ModuleNotFoundError"),
     ("raises", "bad_package:DATASET cannot be loaded: RuntimeError: a bug in two lines"),
     ("leaves", "leaving_package:DATASET cannot be loaded: SystemExit: 3"),
-    ("twice", "entry point 'twice': ours 2.0 and theirs 1.0 offer the same dataset; uninstall one"),
+    ("twice", "entry point 'twice': ours 2.0 and theirs 1.0 offer the same name; uninstall one"),
     ("no_pairs", "dataset no_pairs: has no pairs"),
     ("no_names", "dataset no_names: `names` failed: KeyError: 'a bug'"),
     ("no_shape", "dataset no_shape: `shape` failed: KeyError: 'a bug'"),
@@ -342,9 +339,28 @@ def test_the_others_go_on(packages, work, cli, refused, no_middlebury):
     path = os.pathsep.join([str(packages), str(Path(fracbench.__file__).parents[1])])
     done = subprocess.run(words, env={**os.environ, "PYTHONPATH": path}, cwd=work, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    refused(work, ["sweep", "alpha=1", "dataset=sintel"], "sintel: give paths.data=FOLDER")  # our own
     listed = cli("data").out
-    assert "cannot be used: entry point 'sintel' of theirs 1.0: fracbench has a dataset of this name" in listed
     assert "\ngood: \n" in listed
     for name, named in PACKAGES[:7]:
         assert [line for line in listed.splitlines() if named in line], name
+
+
+def test_a_name_of_ours_is_kept_and_said_once(packages, work, cli):
+    (packages / "theirs-1.0.dist-info/entry_points.txt").write_text(
+        "[fracbench.datasets]\nsynthetic = good_package:TAKEN\n"
+    )
+    sys.path.insert(0, str(packages))  # undone by the fixture
+    line = "entry point 'synthetic' of theirs 1.0: fracbench has a dataset of this name, which is used; "
+    line += "choose another"
+    done = cli("sweep", "alpha=1,2", "dataset=synthetic", "sequence=synthetic_flat", "--dry-run")
+    assert (done.code, done.err) == (0, f"note: {line}\n")
+    assert f"cannot be used: {line}\n" in cli("data").out
+
+
+def test_entry_points_that_cannot_be_read_leave_our_datasets_alone(packages, pairs, work, cli):
+    (packages / "ours-2.0.dist-info/entry_points.txt").write_text("[fracbench.datasets]\ntwice\n")
+    done = cli("data", "dataset=folder", "paths.data=pairs")
+    assert (done.code, done.err) == (0, "")
+    done = cli("sweep", "alpha=1", "dataset=folder", "paths.data=pairs", "--dry-run")
+    assert done.code == 0, done.err
+    assert done.err.startswith("note: other packages are left out: their entry points cannot be read: ")

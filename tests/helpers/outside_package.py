@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from fracbench import entry_points
 from fracbench.harness.run import plan
-from fracbench.methods import packages, registry
 
 #: A method whose flow is one motion for all pixels.
 SOURCE = """
@@ -59,9 +59,7 @@ def write_package(
 
 def forget() -> None:
     """Let this process look for packages again."""
-    packages.offered.cache_clear()
-    packages._load.cache_clear()
-    registry._warn_of_taken_names.cache_clear()
+    entry_points._warn_once.cache_clear()
     plan._chosen.cache_clear()
     for module in ("my_package", "your_package"):
         sys.modules.pop(module, None)

@@ -7,20 +7,16 @@ and whose value is a `Dataset`. It is imported when it is asked for.
 from __future__ import annotations
 
 import importlib
-import sys
 from collections.abc import Callable
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from fracbench.data.datasets.base import Dataset
 from fracbench.data.pair import FramePair
+from fracbench.entry_points import Offers, described
 from fracbench.errors import FracbenchError, InputError, match_name
 
-if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
-
-GROUP = "fracbench.datasets"
 #: Takes Middlebury where it can be had, else the rendered scenes.
 AUTO = "auto"
 _HERE = "fracbench.data.datasets"
@@ -32,31 +28,12 @@ _OWN = {
     "kitti2012": f"{_HERE}.kitti:KITTI2012",
     "kitti2015": f"{_HERE}.kitti:KITTI2015",
 }
-_loaded: dict[str, Dataset] = {}
-
-
-@lru_cache(maxsize=1)
-def _offered(_: tuple[str, ...]) -> dict[str, tuple[EntryPoint, ...]]:
-    """Return the entry points by the name of their dataset; a name should have one."""
-    from importlib.metadata import entry_points  # which takes a third of the time of `fracbench --help`
-
-    found: dict[str, tuple[EntryPoint, ...]] = {}
-    for entry in set(entry_points(group=GROUP)):
-        found[entry.name] = (*found.get(entry.name, ()), entry)
-    return dict(sorted(found.items()))
-
-
-def _others() -> dict[str, tuple[EntryPoint, ...]]:
-    return _offered(tuple(sys.path))
-
-
-def _package(entry: EntryPoint) -> str:
-    return f"{entry.dist.name} {entry.dist.version}" if entry.dist else "an unknown package"
+_OTHERS = Offers(Dataset, (*_OWN, AUTO))
 
 
 def dataset_names() -> tuple[str, ...]:
     """Return the names of all datasets, the project's own first; none is imported."""
-    return (*_OWN, *(name for name in _others() if name not in (*_OWN, AUTO)))
+    return (*_OWN, *_OTHERS.names())
 
 
 def get_dataset(name: str) -> Dataset:
@@ -68,51 +45,20 @@ def get_dataset(name: str) -> Dataset:
         Unknown name, with the nearest; a package that cannot be imported or offers something else.
     """
     name = match_name(name, _OWN if name.casefold() in _OWN else dataset_names(), "dataset")
-    if name not in _loaded:
-        _loaded[name] = _own(name) if name in _OWN else _of_package(name)
-    return _loaded[name]
+    return _own(name) if name in _OWN else _OTHERS.load(name)
 
 
+@cache
 def _own(name: str) -> Dataset:
     module, _, attribute = _OWN[name].partition(":")
     dataset: Dataset = getattr(importlib.import_module(module), attribute)
     return dataset
 
 
-def _of_package(name: str) -> Dataset:
-    entries = _others()[name]
-    if len(entries) > 1:
-        packages = " and ".join(sorted(map(_package, entries)))
-        raise InputError(f"entry point {name!r}: {packages} offer the same dataset; uninstall one")
-    (entry,) = entries
-    place = f"entry point {name!r} of {_package(entry)}"
-    try:
-        found = entry.load()
-    except (Exception, SystemExit) as exc:
-        raise InputError(f"{place}: {entry.value} cannot be loaded: {_reason(exc)}") from exc
-    if not isinstance(found, Dataset):
-        raise InputError(f"{place}: {entry.value} is of type {type(found).__name__}, not a fracbench.Dataset")
-    if found.name != name:
-        raise InputError(f"{place}: the dataset is called {found.name!r}; give the entry point the same name")
-    return found
-
-
 def all_datasets() -> tuple[list[Dataset], list[str]]:
     """Return all datasets, the project's own first, and a line for each entry point that cannot be used."""
-    found = [get_dataset(name) for name in _OWN]
-    unusable = []
-    for name, entries in _others().items():
-        if name in (*_OWN, AUTO):
-            packages = " and ".join(sorted(map(_package, entries)))
-            unusable.append(
-                f"entry point {name!r} of {packages}: fracbench has a dataset of this name, which is used"
-            )
-            continue
-        try:
-            found.append(get_dataset(name))
-        except InputError as exc:
-            unusable.append(str(exc))
-    return found, unusable
+    others, unusable = _OTHERS.load_all()
+    return [*map(_own, _OWN), *others], unusable
 
 
 def find_folder(dataset: str, given: str | Path | None = None) -> Path | None:
@@ -187,8 +133,4 @@ def _ask(dataset: str, what: str, function: Callable[..., Any], *args: Any, **mo
     except FracbenchError:
         raise
     except Exception as exc:
-        raise InputError(f"dataset {dataset}: `{what}` failed: {_reason(exc)}") from exc
-
-
-def _reason(exc: BaseException) -> str:
-    return " ".join(f"{type(exc).__name__}: {exc}".split())
+        raise InputError(f"dataset {dataset}: `{what}` failed: {described(exc)}") from exc

@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 from fracbench.data.datasets.registry import get_dataset, load_sequence
 from fracbench.data.pair import FramePair
 from fracbench.data.regions import Crop, crop
+from fracbench.entry_points import described
 from fracbench.errors import FracbenchError, InputError
 from fracbench.evaluation.class_errors import errors_by_class, errors_by_mask
 from fracbench.evaluation.metrics import flow_errors, outliers
@@ -23,7 +24,7 @@ from fracbench.harness.run import provenance
 from fracbench.harness.run.message import Outcome
 from fracbench.harness.run.point import MEASURES, Point
 from fracbench.harness.run.provenance import peak_mib, reset_peak
-from fracbench.methods.method import Method, described
+from fracbench.methods.method import Method
 from fracbench.methods.paper import energy_growth
 from fracbench.methods.registry import get_method
 from fracbench.methods.warmup import variant, warm_up
