@@ -35,7 +35,8 @@ def middlebury() -> Path:
 @pytest.fixture
 def work(tmp_path, monkeypatch) -> Path:
     """An empty working folder; no environment variable says where data are."""
-    monkeypatch.delenv("FRACBENCH_DATA", raising=False)
+    for name in ("FRACBENCH_DATA", "FRACBENCH_PIV"):
+        monkeypatch.delenv(name, raising=False)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

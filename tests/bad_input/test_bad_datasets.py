@@ -252,6 +252,24 @@ def test_layouts_of_kitti_that_cannot_be_used(work, refused):
     refused(work, words, "flow_occ/000007_10.png: not a KITTI flow, which is a 16-bit RGB PNG (8-bit ones are")
 
 
+def test_layouts_of_particle_images_that_cannot_be_used(work, refused):
+    there = work / "p"
+    there.mkdir()
+    words = ["sweep", "alpha=1", "dataset=piv", "paths.data=p"]
+    put(there / "a_img1.png")
+    refused(work, words, "p: no pairs in it; dataset=piv reads NAME_img1.tif, NAME_img2.tif and NAME_flow.flo")
+    put(there / "a_img1.tif")
+    refused(work, words, "p/a_img2.tif: cannot be read: No such file")
+    put(there / "a_img2.tif", FRAME[2:])
+    refused(work, words, "p/a_img2.tif: 14 x 10 pixels, but a_img1.tif of the pair has 14 x 12")
+    put(there / "a_img2.tif")
+    write_flo(there / "a_flow.flo", FLOW[:, 2:])
+    refused(work, words, "p/a_flow.flo: 14 x 10 pixels, but a_img1.tif of the pair has 14 x 12")
+    write_flo(there / "b_flow.flo", FLOW)
+    (there / "a_flow.flo").unlink()
+    refused(work, words, "p/b_img1.tif: cannot be read: No such file")
+
+
 # -- packages ------------------------------------------------------------------------------------
 
 GOOD = """

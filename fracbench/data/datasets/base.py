@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -51,3 +51,11 @@ class Dataset:
     find: Callable[[str | Path | None], Path] | None = None
     contents: Callable[[str, Path | None], Mapping[str, bytes]] | None = None
     outliers: bool = True
+
+
+def usual_places(*places: str) -> Iterator[tuple[str, Path]]:
+    """Yield relative places with their paths: from the working folder, then from the checkout, if this is one."""
+    checkout = Path(__file__).resolve().parents[3]
+    for root in (Path(), checkout) if (checkout / "pyproject.toml").is_file() else (Path(),):
+        for place in places:
+            yield place, root / place

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-import fracbench
-from fracbench.data.datasets.base import Dataset
+from fracbench.data.datasets.base import Dataset, usual_places
 from fracbench.data.read_once import read_once, sha256
 from fracbench.errors import DataError, InputError, match_name
 
@@ -149,10 +148,7 @@ def _look_up(explicit: str | Path | None) -> Location | None:
 
 
 def _usual_places() -> Iterator[tuple[str, Path]]:
-    checkout = Path(fracbench.__file__).resolve().parents[1]
-    for root in (Path(), checkout) if (checkout / "pyproject.toml").is_file() else (Path(),):
-        for place in ("data/middlebury", "../shared/middlebury"):
-            yield place, root / place
+    yield from usual_places("data/middlebury", "../shared/middlebury")
     yield "the user cache", cache_folder()  # last: it needs pooch, which is slow to import
 
 

@@ -8,6 +8,7 @@ A file of a pair has a role: ``frame0``, ``frame1``; ``flow``, the true flow; an
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracbench.data import files
-from fracbench.data.datasets.base import Dataset
+from fracbench.data.datasets.base import Dataset, usual_places
 from fracbench.data.gray import to_gray
 from fracbench.data.pair import FramePair
 from fracbench.data.read_once import read_once, sha256
@@ -33,7 +34,13 @@ _LEVELS_16 = 65535 / 255
 
 
 def file_dataset(
-    name: str, summary: str, names: Callable[[Path], Sequence[str]], roles: Callable[[str, Path], Roles]
+    name: str,
+    summary: str,
+    names: Callable[[Path], Sequence[str]],
+    roles: Callable[[str, Path], Roles],
+    *,
+    variable: str = "",
+    shared: bool = False,
 ) -> Dataset:
     """Return a dataset of files.
 
@@ -45,22 +52,36 @@ def file_dataset(
         ``names(folder)`` returns the names of the pairs; a DataError where the folder has another layout.
     roles : callable
         ``roles(name, folder)`` returns the files of a pair by role: the frames, and what else there is of it.
+    variable : str, optional
+        Environment variable with the folder, which is asked after ``paths.data``.
+    shared : bool, optional
+        Whether to look at ``../shared/NAME`` before ``data/NAME``, from the working folder and from the checkout.
     """
+    usual = f"data/{name}"
 
     def required(folder: Path | None) -> Path:
         return find(None) if folder is None else folder
 
     def find(given: str | Path | None) -> Path:
-        usual = Path("data", name)
-        folder = usual if given is None else Path(given).expanduser()
+        for source, told in (("paths.data", given), (variable, os.environ.get(variable))):
+            if told:
+                folder = is_folder(told, f"{source}={told}")
+                if folder is None:
+                    raise DataError(f"{source}={told}: is not a folder; {name}: {summary}")
+                return folder
+        for label, place in usual_places(f"../shared/{name}", usual) if shared else [(usual, Path(usual))]:
+            folder = is_folder(place, label)
+            if folder is not None:
+                return folder
+        ways = f"give paths.data=FOLDER, {f'set {variable}=FOLDER, ' if variable else ''}or put it at {usual}"
+        raise DataError(f"{name}: {ways}; {summary}")
+
+    def is_folder(place: str | Path, label: str) -> Path | None:
+        folder = Path(place).expanduser()
         try:
-            if folder.is_dir():
-                return folder.resolve()
+            return folder.resolve() if folder.is_dir() else None
         except OSError as exc:
-            raise DataError(f"paths.data={given}: cannot be read: {exc.strerror}") from exc
-        if given is None:
-            raise DataError(f"{name}: give paths.data=FOLDER, or put it at {usual}; {summary}")
-        raise DataError(f"paths.data={given}: is not a folder; {name}: {summary}")
+            raise DataError(f"{label}: cannot be read: {exc.strerror}") from exc
 
     def shape(pair: str, folder: Path | None) -> tuple[int, int]:
         return check_sizes(roles(pair, required(folder)), required(folder))

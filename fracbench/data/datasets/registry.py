@@ -27,6 +27,7 @@ _OWN = {
     "sintel": f"{_HERE}.sintel:DATASET",
     "kitti2012": f"{_HERE}.kitti:KITTI2012",
     "kitti2015": f"{_HERE}.kitti:KITTI2015",
+    "piv": f"{_HERE}.piv:DATASET",
 }
 _OTHERS = Offers(Dataset, (*_OWN, AUTO))
 

@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 
 from fracbench.data import download
+from fracbench.data.datasets import base
 from fracbench.data.datasets import middlebury as mb
 from fracbench.data.datasets.registry import list_sequences, load_sequence
 from fracbench.errors import DataError, InputError
@@ -51,7 +52,7 @@ def elsewhere(tmp_path, monkeypatch) -> Path:
     package = tmp_path / "checkout" / "fracbench"
     package.mkdir(parents=True)
     (tmp_path / "checkout" / "pyproject.toml").touch()
-    monkeypatch.setattr(mb.fracbench, "__file__", str(package / "__init__.py"))
+    monkeypatch.setattr(base, "__file__", str(package / "data" / "datasets" / "base.py"))
     monkeypatch.setattr(mb, "cache_folder", lambda: tmp_path / "cache" / "middlebury")
     monkeypatch.delenv("FRACBENCH_DATA", raising=False)
     (tmp_path / "somewhere" / "work").mkdir(parents=True)

@@ -1,4 +1,4 @@
-"""Datasets of files: the layouts of folder, Sintel and KITTI, on small folders that are written here."""
+"""Datasets of files: the layouts of folder, Sintel, KITTI and piv, on small folders that are written here."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
+from scipy.ndimage import map_coordinates
 
 from fracbench.data import read_once
+from fracbench.data.datasets import base
 from fracbench.data.datasets.registry import digest_of, find_folder, get_dataset, list_sequences, load_sequence
 from fracbench.data.files import write_flow, write_image
 from fracbench.errors import DataError, InputError
@@ -91,6 +93,28 @@ def kitti(request, tmp_path) -> tuple[str, Path]:
         put_flow(training / "flow_occ" / f"{number:06d}_10.png", everywhere)
         put_flow(training / "flow_noc" / f"{number:06d}_10.png", visible)
     return "kitti2015" if request.param == "image_2" else "kitti2012", tmp_path
+
+
+@pytest.fixture
+def piv(tmp_path) -> Path:
+    """Two pairs: `b_2` with a true flow, `a_1` without."""
+    there = tmp_path / "particles"
+    there.mkdir()
+    for i, name in enumerate(("b_2", "a_1")):
+        for k in range(2):
+            Image.fromarray(frame(2 * i + k, (H, W))).save(there / f"{name}_img{k + 1}.tif")
+    put_flow(there / "b_2_flow.flo", true_flow())
+    (there / "README.md").write_text("particles")
+    return there
+
+
+@pytest.fixture
+def elsewhere(work, monkeypatch) -> Path:
+    """A working folder, below which there is `here`, and no checkout where data could be."""
+    monkeypatch.setattr(base, "__file__", str(work / "fracbench/data/datasets/base.py"))
+    (work / "here").mkdir()
+    monkeypatch.chdir(work / "here")
+    return work
 
 
 @pytest.fixture
@@ -229,6 +253,55 @@ def test_sintel_and_kitti_are_found_in_the_usual_place(sintel, monkeypatch, tmp_
     assert len(list_sequences("sintel", find_folder("sintel"))) == 4
 
 
+# -- particle images -----------------------------------------------------------------------------
+
+
+def test_particle_images_are_pairs_by_name(piv, flow_of_zeros):
+    assert list_sequences("piv", piv) == ("a_1", "b_2")
+    pair = load_sequence("b_2", "piv", piv)
+    np.testing.assert_array_equal([pair.frame0, pair.frame1], [frame(0, (H, W)), frame(1, (H, W))])
+    np.testing.assert_array_equal(pair.truth, true_flow())
+    assert (pair.frame0_color, pair.matched) == (None, None)
+    assert load_sequence("a_1", "piv", piv).truth is None
+    assert result_of("piv", piv, "b_2")["aepe"] == pytest.approx((16 * 5 + 8 * 1) / 24, rel=1e-12)
+
+
+def test_the_look_up_of_particle_images(piv, elsewhere, monkeypatch):
+    """paths.data, then the variable, then ../shared/piv, then data/piv."""
+    with pytest.raises(
+        DataError, match=r"piv: give paths\.data=FOLDER, set FRACBENCH_PIV=FOLDER, or put it at data"
+    ):
+        find_folder("piv")
+    for place in ("data/piv", "../shared/piv"):
+        Path(place).mkdir(parents=True)
+        assert find_folder("piv") == Path(place).resolve()
+    monkeypatch.setenv("FRACBENCH_PIV", "../nowhere")
+    with pytest.raises(DataError, match=r"FRACBENCH_PIV=\.\./nowhere: is not a folder; piv: particle images"):
+        find_folder("piv")
+    monkeypatch.setenv("FRACBENCH_PIV", str(piv))
+    assert find_folder("piv") == piv
+    assert find_folder("piv", "data/piv") == Path("data/piv").resolve()
+
+
+def test_the_public_particle_images():
+    try:
+        there = find_folder("piv")
+        names = list_sequences("piv", there)
+    except DataError as exc:
+        pytest.skip(str(exc))
+    for name in names:
+        pair = load_sequence(name, "piv", there)
+        assert pair.shape == pair.truth.shape[1:]
+        assert np.isfinite(pair.truth).all() and 1.0 < np.abs(pair.truth).max() < 20.0
+        assert 0.0 <= pair.frame0.min() < pair.frame0.max() <= 255.0
+        # the true flow, of the right sign and order of components, explains most of the change
+        change = pair.frame1 - pair.frame0
+        y, x = np.mgrid[: pair.shape[0], : pair.shape[1]]
+        back = map_coordinates(pair.frame1, [y + pair.truth[1], x + pair.truth[0]], order=3, mode="nearest")
+        inner = (slice(16, -16), slice(16, -16))
+        assert np.std((back - pair.frame0)[inner]) < 0.5 * np.std(change[inner])
+
+
 # -- files and workers ---------------------------------------------------------------------------
 
 
@@ -254,7 +327,7 @@ def test_large_files_are_not_kept(folder, monkeypatch):
     assert read_once._read.cache_info().currsize == 0
 
 
-@pytest.mark.parametrize("dataset", ["folder", "sintel"])
+@pytest.mark.parametrize("dataset", ["folder", "sintel", "piv"])
 def test_the_files_of_a_pair_are_all_that_a_worker_needs(dataset, request, tmp_path_factory):
     source = request.getfixturevalue(dataset)
     name = list_sequences(dataset, source)[0]
@@ -338,13 +411,15 @@ def test_the_data_command_tells_a_folder(folder, cli, work):
     assert cli("data", "dataset=folder", f"paths.data={folder}").out == f"folder: {folder}: 2 pairs: a, b\n"
 
 
-def test_every_dataset_is_listed_with_its_state(cli, work, no_middlebury, sintel):
+def test_every_dataset_is_listed_with_its_state(cli, work, no_middlebury, sintel, piv, monkeypatch):
+    monkeypatch.setenv("FRACBENCH_PIV", str(piv))
     (work / "data").mkdir()
     (work / "data" / "sintel").symlink_to(sintel)
     done = cli("data")
     assert done.code == 2 and "the Middlebury data were not found" in done.err
     assert "synthetic: 16 rendered scenes with exact flow\n" in done.out
     assert f"sintel: found at {sintel.resolve()}\n" in done.out
+    assert f"piv: found at {piv}\n" in done.out
     for name in ("folder", "kitti2012", "kitti2015"):
         assert f"{name}: missing: give paths.data=FOLDER, or put it at data/{name}; " in done.out
 

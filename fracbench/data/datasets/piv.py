@@ -1,0 +1,45 @@
+"""Synthetic particle images of fluids with true flow, by Cai et al.
+
+Source: S. Cai, S. Zhou, C. Xu, Q. Gao, Dense motion estimation of particle images via a convolutional neural
+network, Experiments in Fluids 60:73, 2019.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fracbench.data.datasets.pair_files import Roles, file_dataset, list_folder
+from fracbench.errors import DataError
+
+_FRAMES = ("_img1.tif", "_img2.tif")
+_FLOW = "_flow.flo"
+_LAYOUT = "NAME_img1.tif, NAME_img2.tif and NAME_flow.flo"
+
+
+def names(folder: Path) -> list[str]:
+    """Return the pairs of which a frame or a true flow is there."""
+    stems = {
+        path.name.removesuffix(end)
+        for path in list_folder(folder)
+        for end in (*_FRAMES, _FLOW)
+        if path.name.endswith(end) and path.name != end
+    }
+    if not stems:
+        raise DataError(f"{folder}: no pairs in it; dataset=piv reads {_LAYOUT}")
+    return sorted(stems)
+
+
+def roles(name: str, folder: Path) -> Roles:
+    """Return the files of a pair: both frames, and the true flow where it is."""
+    frames = {f"frame{i}": f"{name}{end}" for i, end in enumerate(_FRAMES)}
+    return frames | ({"flow": f"{name}{_FLOW}"} if (folder / f"{name}{_FLOW}").exists() else {})
+
+
+DATASET = file_dataset(
+    "piv",
+    f"particle images of Cai et al. (https://github.com/shengzesnail/PIV_dataset), in one folder: {_LAYOUT}",
+    names,
+    roles,
+    variable="FRACBENCH_PIV",
+    shared=True,
+)
