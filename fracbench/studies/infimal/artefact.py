@@ -39,7 +39,7 @@ def order_from_flow(experiment: Experiment, plan: Plan, rows: Mapping[str, Row],
     scenes, frames = scene_table(runs), frame_table(runs)
     lines = sentences(scenes, frames)
     stem = file_stem(experiment.name, plan, results / TABLES)
-    shown = _readable(scenes)
+    shown = _readable(scenes) if len(scenes) else scenes
     text = [f"# {experiment.title}", _LEGEND, tables.to_markdown(shown)]
     if len(frames):
         text.append(tables.to_markdown(frames))

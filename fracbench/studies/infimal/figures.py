@@ -35,7 +35,7 @@ def parts_panel(items: Sequence[tuple[str, NDArray[Any]]], title: str) -> Figure
     """Show p, q and u of named parts, (2, 2, H, W), in flow colours of one scale, and the share of q's change."""
     tallest = [parts.shape[2] / parts.shape[3] for _, parts in items]
     with house_style():
-        fig = new_figure(sum(WIDTH / 4 * height + 0.1 for height in tallest) + 0.8)
+        fig = new_figure(sum(0.22 * WIDTH * height + 0.1 for height in tallest) + 0.8)
         fig.suptitle(title)
         grid = fig.subplots(len(items), 4, squeeze=False, height_ratios=tallest)
         for row, (name, parts) in zip(grid, items, strict=True):

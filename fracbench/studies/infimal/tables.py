@@ -63,20 +63,20 @@ def scene_table(runs: pd.DataFrame) -> pd.DataFrame:
         for metric in METRICS:
             found = _logs(at_noise, metric)
             lone = [name for name in found if name in SINGLE_STRUCTURE]
-            chosen = _by_halves(np.mean([found[name][0] for name in lone], axis=0)) if lone else None
-            ratios = {name: _estimates(*logs[:2], chosen) for name, logs in found.items()}
+            if not found:
+                continue
+            # One setting for all scenes: the best on those of one structure together.
+            scenes = [found[name] for name in lone or found]
+            one = _by_halves(np.mean([single for single, _, _ in scenes], axis=0))
+            both = _by_halves(np.mean([parts for _, parts, _ in scenes], axis=0))
+            ratios = {name: _estimates(*logs[:2], one, both) for name, logs in found.items()}
             if lone:
                 every = {key: np.mean([ratios[name][key] for name in lone], axis=0) for key in ESTIMATES}
                 ratios[ALL] = every
             for name, estimates in ratios.items():
                 at_1 = found[name][2] if name in found else math.nan
-                record = {
-                    "scene": name,
-                    "noise": noise,
-                    "metric": metric,
-                    "n": len(estimates["parts"]),
-                    "at_1": at_1,
-                }
+                record = {"scene": name, "noise": noise, "metric": metric, "n": len(estimates["parts"])}
+                record["at_1"] = at_1
                 for key, values in estimates.items():
                     ends = [math.exp(value) for value in mean_interval(values)]
                     record |= {key: ends[0], f"{key}_low": ends[1], f"{key}_high": ends[2]}
@@ -115,13 +115,14 @@ def _by_halves(logs: Errors) -> NDArray[np.intp]:
     return np.array([places[i % 2] for i in range(len(logs))])
 
 
-def _estimates(single: Errors, parts: Errors, chosen: NDArray[np.intp] | None) -> dict[str, Errors]:
-    n = len(single)
+def _estimates(single: Errors, parts: Errors, one: NDArray[np.intp], both: NDArray[np.intp]) -> dict[str, Errors]:
+    """Return each estimate's logarithms by seed; `one` and `both` are the settings chosen for all scenes."""
+    seeds = np.arange(len(single))
     return {
-        "one": np.full(n, math.nan) if chosen is None else single[np.arange(n), chosen],
+        "one": single[seeds, one],
         "own": held_out(single),
         "oracle": single.min(axis=1),
-        "parts": held_out(parts) if parts.shape[1] > 1 else parts[:, 0],
+        "parts": parts[seeds, both],
     }
 
 

@@ -59,6 +59,17 @@ class TestScenes:
         assert (table["oracle"] <= table["own"] + 1e-12).all()
         assert set(table["n"]) == {20}
 
+    def test_several_settings_are_one_for_all_scenes_chosen_on_other_seeds(self):
+        runs = scene_runs()
+        worse = runs[runs["part"] == "scenes/parts"].assign(smooth_weight=3.0)
+        worse["aepe"] *= np.where(worse["sequence"] == "synthetic_lone_edge", 0.9, 1.3)  # better there alone
+        both = scene_table(pd.concat([runs, worse])).query("metric == 'aepe'").set_index("scene")
+        plain = scene_table(runs).query("metric == 'aepe'").set_index("scene")
+        np.testing.assert_allclose(both["parts"], plain["parts"])
+
+    def test_without_a_whole_seed_there_are_no_rows(self):
+        assert scene_table(scene_runs(2).assign(status="failed")).empty
+
     def test_a_seed_with_a_failed_point_is_left_out(self):
         runs = scene_runs()
         runs.loc[runs["seed"] == "3", "aepe"] = runs["aepe"].where(runs["part"] == "scenes/single")
@@ -123,7 +134,7 @@ def test_the_experiment_asks_what_the_issue_asks():
     assert {point.sequence for point in points} == {*SINGLE_STRUCTURE, *MIXED_STRUCTURE}
     assert {point.noise for point in points} == {1.0, 3.0} and {point.seed for point in points} == set(range(20))
     assert {point.canonical["boundary"] for point in points} == {"reflect"}
-    assert parse_overrides(grids["scenes/single"]).size == 2 * 2 * 20 * 10  # globs count once
+    assert parse_overrides(grids["scenes/single"]).size == 2 * 2 * 20 * 9  # globs count once
 
 
 def test_files_tables_and_sentences(small, tmp_path):
