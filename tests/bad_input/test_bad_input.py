@@ -432,7 +432,7 @@ def test_a_results_folder_under_a_file(work, refused, command):
         (["sweep"], "sweep: what is to be swept?"),
         (["bench", "--repeats", "0"], "--repeats and --threads must be at least 1"),
         (["run", "alpha=1,2", *FLAT], "run takes one point, not a grid"),
-        (["run", "sequence=synthetic_*"], "run takes one point, sequence=synthetic_* stands for 14"),
+        (["run", "sequence=synthetic_*"], "run takes one point, sequence=synthetic_* stands for 16"),
     ],
 )
 def test_names_and_numbers_of_other_commands(work, refused, argv, named):

@@ -26,7 +26,7 @@ def test_all_that_is_installed_runs_by_default(monkeypatch):
     for boundary in ("reflect", "zero"):
         for alpha in ("1", "1.2", "1.7"):
             assert f"tvl1_sb_alpha {boundary} alpha {alpha}" in names
-    assert {"tvl1_sb_alpha_map 2 orders", "accurate", "fast"} < set(names)
+    assert {"tvl1_sb_alpha_map 2 orders", "tvl1_sb_alpha_ic", "accurate", "fast"} < set(names)
 
 
 def test_a_contender_may_bring_a_protocol(monkeypatch):
@@ -89,7 +89,7 @@ def test_the_command_writes_table_and_picture(tmp_path, capsys):
     out = capsys.readouterr().out
     assert "tvl1_sb_alpha" in out and "ratio" not in out
     table = pd.read_csv(tmp_path / "runs" / "bench" / "bench_1_threads_some.csv")
-    assert len(table) == 9 and (table["seconds"] > 0).all()
+    assert len(table) == 10 and (table["seconds"] > 0).all()
     assert (tmp_path / "runs" / "bench" / "bench_1_threads_some.png").stat().st_size > 1000
 
 

@@ -72,7 +72,7 @@ def test_a_second_process_helps_once_and_is_ended(monkeypatch):
     class Once:
         name = "tvl1_sb"
 
-        def estimate(self, frame0, frame1, params):
+        def compute(self, frame0, frame1, params):
             for function in (lambda x: x + 1, lambda x: x + 2):
                 numba.njit(function)(1.0)
 

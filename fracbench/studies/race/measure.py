@@ -51,6 +51,7 @@ def _ours() -> list[Contender]:
     two_orders = {f"alpha_{name}": "1" if name == "flat" else "1.2" for name in CLASSES}
     beyond = [
         Contender("tvl1_sb_alpha_map 2 orders", "tvl1_sb_alpha_map", {**two_orders, **fast}),
+        Contender("tvl1_sb_alpha_ic", "tvl1_sb_alpha_ic", {"alpha": "1", **fast}),
         Contender("accurate", "tvl1_sb_alpha_map", protocol="accurate"),
         Contender("fast", "tvl1_sb", protocol="fast"),
     ]
