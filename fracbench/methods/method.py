@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 #: Names that a parameter cannot have: keys of the command line, columns of the tables, words of `estimate_flow`.
 RESERVED = frozenset({
     "method", "sequence", "region", "protocol", "parallel", "dataset", "context", "shift", "score", "margin",
-    "noise", "seed", "paths", "params", "part", "aae", "aepe", "sdae", "n_pixels", "n_unknown", "n_nonfinite",
+    "noise", "seed", "density", "diameter", "lost", "background", "displacement", "slope", "paths", "params",
+    "part", "aae", "aepe", "sdae", "n_pixels", "n_unknown", "n_nonfinite",
     "iterations", "inner_iterations", "stop", "status", "error", "key", "frame0", "frame1", "trace", "threads",
     "mask", "initial_flow", "confidence",
 })  # fmt: skip

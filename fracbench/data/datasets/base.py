@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -28,7 +28,8 @@ class Dataset:
     shape : callable
         ``shape(name, folder)`` returns height and width of a pair, without decoding it.
     load : callable
-        ``load(name, folder, noise=..., seed=...)`` returns a `FramePair`; `noise`, `seed` are for rendered scenes.
+        ``load(name, folder, noise=..., seed=...)`` returns a `FramePair`; `noise`, `seed` and those
+        `settings` that the user gives are for rendered scenes.
     digest : callable
         SHA-256, in hexadecimal, of what the pair is made from, without decoding it, with the same arguments. It is
         part of the key of every stored result.
@@ -40,6 +41,8 @@ class Dataset:
         worker that has none; None for a dataset without files.
     outliers : bool
         Whether KITTI's share of outliers, Fl-all, is among the errors of its pairs.
+    settings : mapping
+        The usual values of its rendered scenes' settings, by their key on the command line.
     """
 
     name: str
@@ -51,6 +54,7 @@ class Dataset:
     find: Callable[[str | Path | None], Path] | None = None
     contents: Callable[[str, Path | None], Mapping[str, bytes]] | None = None
     outliers: bool = True
+    settings: Mapping[str, float] = field(default_factory=dict)
 
 
 def usual_places(*places: str) -> Iterator[tuple[str, Path]]:

@@ -23,6 +23,7 @@ _HERE = "fracbench.data.datasets"
 _OWN = {
     "middlebury": f"{_HERE}.middlebury:DATASET",
     "synthetic": f"{_HERE}.synthetic.scenes:DATASET",
+    "particles": f"{_HERE}.particles.images:DATASET",
     "folder": f"{_HERE}.folder:DATASET",
     "sintel": f"{_HERE}.sintel:DATASET",
     "kitti2012": f"{_HERE}.kitti:KITTI2012",
@@ -93,16 +94,18 @@ def shape_of(name: str, dataset: str, folder: Path | None = None) -> tuple[int, 
     return int(height), int(width)
 
 
-def digest_of(name: str, dataset: str, folder: Path | None = None, *, noise: float = 0.0, seed: int = 0) -> str:
+def digest_of(
+    name: str, dataset: str, folder: Path | None = None, *, noise: float = 0.0, seed: int = 0, **scene: float
+) -> str:
     """Return the SHA-256 that identifies a pair, by its exact name."""
-    digest = _ask(dataset, "digest", get_dataset(dataset).digest, name, folder, noise=noise, seed=seed)
+    digest = _ask(dataset, "digest", get_dataset(dataset).digest, name, folder, noise=noise, seed=seed, **scene)
     if not isinstance(digest, str):
         raise InputError(f"dataset {dataset}: the digest of {name!r} is no text but {type(digest).__name__}")
     return digest
 
 
 def load_sequence(
-    name: str, dataset: str, folder: Path | None = None, *, noise: float = 0.0, seed: int = 0
+    name: str, dataset: str, folder: Path | None = None, *, noise: float = 0.0, seed: int = 0, **scene: float
 ) -> FramePair:
     """Load a pair by name.
 
@@ -114,6 +117,8 @@ def load_sequence(
         Where the files are; looked up if not given.
     noise, seed : float and int, optional
         Of a rendered scene; see `fracbench.data.datasets.synthetic.scenes.scene`.
+    **scene : float
+        Further settings of a rendered scene; see `fracbench.data.datasets.particles.images.particle_pair`.
 
     Raises
     ------
@@ -121,7 +126,8 @@ def load_sequence(
         Unknown pair or dataset; a DataError if the files are missing, corrupt or unreadable.
     """
     load = get_dataset(dataset).load
-    pair = _ask(dataset, "load", load, match_sequence(name, dataset, folder), folder, noise=noise, seed=seed)
+    exact = match_sequence(name, dataset, folder)
+    pair = _ask(dataset, "load", load, exact, folder, noise=noise, seed=seed, **scene)
     if not isinstance(pair, FramePair):
         raise InputError(f"dataset {dataset}: {name!r} was loaded as {type(pair).__name__}, not as FramePair")
     return pair

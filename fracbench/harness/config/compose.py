@@ -29,9 +29,12 @@ from fracbench.model.params import FlowParams
 GROUPS = ("method", "sequence", "region", "protocol", "parallel")
 BACKENDS = ("loky", "dask")
 PARALLEL = ("parallel.jobs", "parallel.timeout", "parallel.address")
+#: Numbers of rendered particle images, beside noise and seed.
+SCENE = ("density", "diameter", "lost", "background", "displacement", "slope")
 #: Keys of the command line that are neither groups nor parameters.
 SETTINGS = (
-    "dataset", "context", "shift", "score", "margin", "noise", "seed", "paths.data", "paths.results", *PARALLEL,
+    "dataset", "context", "shift", "score", "margin", "noise", "seed", *SCENE, "paths.data", "paths.results",
+    *PARALLEL,
 )  # fmt: skip
 _WHOLE = ("context", "shift", "margin", "seed")
 SCORES = ("frame", "structure")
@@ -105,6 +108,7 @@ class RunConfig:
     margin: int | None = None
     noise: float | None = None
     seed: int | None = None
+    scene: Mapping[str, float] = dataclasses.field(default_factory=dict)  # those of `SCENE` that are set
     data: str | None = None
     results: Path = Path("results")
 
@@ -124,11 +128,15 @@ class RunConfig:
 
     def _check_scene(self) -> None:
         """Refuse settings that only whole frames, or only rendered scenes, can have."""
-        for name, value in (("margin", self.margin), ("noise", self.noise), ("seed", self.seed)):
-            if value is not None and not 0 <= value < math.inf:
+        given = {"margin": self.margin, "noise": self.noise, "seed": self.seed, **self.scene}
+        for name, value in given.items():
+            if value is None:
+                continue
+            if not 0 <= value < math.inf:
                 raise InputError(f"{name} must be finite and at least 0, got {value:g}")
-            if value is not None and name != "margin" and self.sequence.dataset != "synthetic":
-                raise InputError(f"{name}={value:g} needs a rendered scene, sequence={self.sequence.key} is none")
+            if name != "margin" and name not in get_dataset(self.sequence.dataset).settings:
+                kind = "dataset=particles" if name in SCENE else "a rendered scene"
+                raise InputError(f"{name}={value:g} needs {kind}, sequence={self.sequence.key} is none")
         if self.margin is None:
             return
         if self.region is not None:
@@ -147,6 +155,9 @@ class RunConfig:
                 changes[key] = None if key != "context" and value == "null" else _whole(key, value)
             elif key == "noise":
                 changes[key] = None if value == "null" else _number(key, value)
+            elif key in SCENE:
+                if value != "null":
+                    changes["scene"] = {**changes.get("scene", self.scene), key: _number(key, value)}
             else:
                 changes[key.rpartition(".")[2]] = Path(value) if key == "paths.results" else value
         return dataclasses.replace(self, params=self.method.replace(self.params, params), **changes)
@@ -157,6 +168,10 @@ def _whole(key: str, value: Any) -> int:
         return int(str(value))
     except ValueError:
         raise InputError(f"`{key}` must be a whole number, got {value!r}") from None
+
+
+def _whole_or_none(key: str, raw: Mapping[str, Any]) -> int | None:
+    return None if raw[key] is None else _whole(key, raw[key])
 
 
 def _number(key: str, value: Any, what: str = "a number") -> float:
@@ -288,7 +303,9 @@ def _typed(raw: Mapping[str, Any], choices: Mapping[str, str], pair: SequenceCon
         context=_whole("context", raw["context"]),
         score=require_name(raw["score"], "`score`", where),
         noise=None if raw["noise"] is None else _number("noise", raw["noise"]),
-        **{key: None if raw[key] is None else _whole(key, raw[key]) for key in ("shift", "margin", "seed")},
+        shift=_whole_or_none("shift", raw),
+        margin=_whole_or_none("margin", raw),
+        seed=_whole_or_none("seed", raw),
         data=paths.data,
         results=Path(paths.results),
     )

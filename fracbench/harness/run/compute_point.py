@@ -22,7 +22,7 @@ from fracbench.evaluation.class_errors import errors_by_class, errors_by_mask
 from fracbench.evaluation.metrics import flow_errors, outliers
 from fracbench.harness.run import provenance
 from fracbench.harness.run.message import Outcome
-from fracbench.harness.run.point import MEASURES, Point
+from fracbench.harness.run.point import MEASURES, Point, Scene
 from fracbench.harness.run.provenance import peak_mib, reset_peak
 from fracbench.methods.method import Method
 from fracbench.methods.paper import energy_growth
@@ -124,8 +124,10 @@ def _divergence(name: str, frame0: Any, frame1: Any, flow: Any, params: Any, sto
 
 
 @lru_cache(maxsize=8)
-def _sequence(name: str, dataset: str, folder: Path | None, noise: float, seed: int, _: str) -> FramePair:
-    return load_sequence(name, dataset, folder, noise=noise, seed=seed)
+def _sequence(
+    name: str, dataset: str, folder: Path | None, noise: float, seed: int, scene: Scene, _: str
+) -> FramePair:
+    return load_sequence(name, dataset, folder, noise=noise, seed=seed, **dict(scene))
 
 
 _held: dict[str, FramePair] = {}
@@ -158,7 +160,7 @@ def point_arrays(point: Point, folder: Path | None) -> tuple[Any, Any, Any, tupl
 def _sequence_of(point: Point, folder: Path | None) -> FramePair:
     sequence = _held.get(point.data_digest)
     if sequence is None:
-        data = point.sequence, point.dataset, folder, point.noise, point.seed
+        data = point.sequence, point.dataset, folder, point.noise, point.seed, point.scene
         sequence = _sequence(*data, point.data_digest)
     if sequence.digest != point.data_digest:
         raise InputError(f"sequence {point.sequence}: the data changed while the sweep was running")

@@ -270,4 +270,6 @@ def _unpack(job: Job, files: Mapping[str, bytes]) -> None:
             (Path(name) / file).write_bytes(content)
         point = job.point
         load = get_dataset(point.dataset).load
-        compute_point.hold(load(point.sequence, Path(name), noise=point.noise, seed=point.seed))
+        compute_point.hold(
+            load(point.sequence, Path(name), noise=point.noise, seed=point.seed, **dict(point.scene))
+        )

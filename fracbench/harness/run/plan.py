@@ -14,6 +14,7 @@ from fracbench.data.datasets.registry import (
     dataset_names,
     digest_of,
     find_folder,
+    get_dataset,
     is_fixed,
     list_sequences,
     match_sequence,
@@ -36,7 +37,7 @@ from fracbench.harness.config.experiment import Experiment
 from fracbench.harness.config.grid import Axis, Grid, expand_names, parse_overrides
 from fracbench.harness.config.numbers import MAX_POINTS, canonical_number
 from fracbench.harness.config.records import require_name
-from fracbench.harness.run.point import Point, canonical_value
+from fracbench.harness.run.point import Point, Scene, canonical_value
 from fracbench.methods.method import Method
 from fracbench.model.params import FlowParams
 
@@ -104,10 +105,10 @@ def make_plan(tokens: Sequence[str], *, allow_download: bool = True, small: bool
     resolved = _resolve_data(wanting or configs[0], allow_download)
 
     @cache
-    def look(name: str, dataset: str, noise: float, seed: int) -> tuple[tuple[int, int], str]:
+    def look(name: str, dataset: str, noise: float, seed: int, scene: Scene) -> tuple[tuple[int, int], str]:
         exact = match_sequence(name, dataset) if is_fixed(dataset) else name
         shape = shape_of(exact, dataset, resolved.folder)
-        return shape, digest_of(exact, dataset, resolved.folder, noise=noise, seed=seed)
+        return shape, digest_of(exact, dataset, resolved.folder, noise=noise, seed=seed, **dict(scene))
 
     points = [_planned(config, resolved.dataset, look) for config in configs]
     notices = [resolved.notice] if resolved.notice else []
@@ -330,7 +331,7 @@ def _resolve_data(config: RunConfig, allow_download: bool) -> Any:
     return middlebury.resolve(config.dataset if own == "middlebury" else own, config.data, allow_download)
 
 
-_Look = Callable[[str, str, float, int], tuple[tuple[int, int], str]]
+_Look = Callable[[str, str, float, int, Scene], tuple[tuple[int, int], str]]
 
 
 def _planned(config: RunConfig, dataset: str, look: _Look) -> PlannedPoint:
@@ -342,7 +343,9 @@ def _planned(config: RunConfig, dataset: str, look: _Look) -> PlannedPoint:
             raise InputError(f"sequence {config.sequence.key!r} has no synthetic stand-in")
         name, region = config.sequence.stand_in, None
     noise, seed = config.noise or 0.0, config.seed or 0
-    shape, digest = look(name, dataset, noise, seed)
+    usual = get_dataset(dataset).settings
+    scene = tuple((key, value) for key, value in sorted(config.scene.items()) if value != usual[key])
+    shape, digest = look(name, dataset, noise, seed, scene)
     point = Point(
         method=config.method.name,
         params=config.params,
@@ -353,6 +356,7 @@ def _planned(config: RunConfig, dataset: str, look: _Look) -> PlannedPoint:
         data_digest=digest,
         noise=noise,
         seed=seed,
+        scene=scene,
         score=config.score,
         version=config.method.stamp,
         shape=shape,
@@ -368,6 +372,7 @@ def _planned(config: RunConfig, dataset: str, look: _Look) -> PlannedPoint:
     for key in ("shift", "margin", "noise", "seed"):
         if (value := getattr(config, key)) is not None:
             labels[key] = canonical_value(value)
+    labels |= {key: canonical_value(value) for key, value in config.scene.items()}
     return PlannedPoint(point, labels)
 
 

@@ -24,6 +24,8 @@ MEASURES = {
     "convergence": "fracbench.studies.solvers.linearised_problem:courses",
     "oracle": "fracbench.studies.alpha_map.oracle:bounds",
 }
+#: Settings of a rendered scene, by name.
+Scene = tuple[tuple[str, float], ...]
 #: The dataset and the sequence of a point that needs no data.
 NO_DATA = "none"
 
@@ -34,10 +36,10 @@ class Point:
 
     Parameters that the method does not use, and the region's name, are no part of the key. `params` are
     `FlowParams` or another frozen dataclass; `context` counts pixels around the region that take part in the
-    computation; `data_digest` is the data's SHA-256; `noise` (gray levels) and `seed` are of a rendered scene.
-    `score` is ``"frame"``, ``"structure"`` for errors by class of pixels as well, or one of `MEASURES`; its
-    `options` are numbers or tuples of numbers. `version` is `Method.stamp`; `shape`, that of the frames, tells the
-    cost and is no part of the key.
+    computation; `data_digest` is the data's SHA-256; `noise` (gray levels) and `seed` are of a rendered scene,
+    whose other settings are in `scene` where they are unusual. `score` is ``"frame"``, ``"structure"`` for errors
+    by class of pixels as well, or one of `MEASURES`; its `options` are numbers or tuples of numbers. `version` is
+    `Method.stamp`; `shape`, that of the frames, tells the cost and is no part of the key.
     """
 
     method: str
@@ -49,6 +51,7 @@ class Point:
     data_digest: str
     noise: float = 0.0
     seed: int = 0
+    scene: Scene = ()
     score: str = "frame"
     options: tuple[tuple[str, Any], ...] = ()
     version: str = ""
@@ -69,10 +72,13 @@ class Point:
     @cached_property
     def spec(self) -> dict[str, Any]:
         """The canonical form, without the data's content; younger entries only where they are unusual."""
-        usual: dict[str, Any] = {"noise": "0", "seed": 0, "score": "frame", "options": {}, "version": ""}
+        usual: dict[str, Any] = {
+            "noise": "0", "seed": 0, "scene": {}, "score": "frame", "options": {}, "version": ""
+        }  # fmt: skip
         values: dict[str, Any] = {
             "noise": canonical_value(self.noise), "seed": self.seed, "score": self.score, "version": self.version
         }  # fmt: skip
+        values["scene"] = {name: canonical_value(value) for name, value in self.scene}
         values["options"] = {name: _canonical_option(value) for name, value in self.options}
         younger = {name: canonical_value(value) for name, value in get_method(self.method).younger.items()}
         region = self.region

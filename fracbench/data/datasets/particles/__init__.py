@@ -1,0 +1,4 @@
+"""Particle images of analytic flows, whose displacement is known exactly.
+
+Imports `fracbench.errors` and the rest of `fracbench.data`.
+"""
