@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from fracbench.harness.config.records import read_plain, require_name
 
 #: The folders of ``./conf/`` that are read.
 GROUPS = ("protocol", "region", "sequence", "parallel")
+_HEADER = re.compile(r"#\s*@package\s+_global_\s*\n")
 #: Files, each with its time and size, so that a cache sees a change.
 Files = tuple[tuple[Path, int, int], ...]
 
@@ -42,6 +44,8 @@ def check(files: Files, project: Path) -> None:
         if theirs.exists() and theirs.read_bytes() != path.read_bytes():  # a copy, as in a checkout, hides nothing
             raise InputError(f"{path}: the name is that of one of fracbench's own {group}s; choose another")
         defaults = read_plain(path).get("defaults", [])
+        if not _HEADER.match(path.read_text(encoding="utf-8")):  # Hydra would put all of it below `protocol`
+            raise InputError(f"{path}: the first line must be `# @package _global_`")
         if not isinstance(defaults, list):
             raise InputError(f"{path}: `defaults` must be a list, got {defaults!r}")
         for entry in defaults:

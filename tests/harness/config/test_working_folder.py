@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -11,7 +12,7 @@ import pytest
 from fracbench.commands.cli import EXIT_DONE
 from fracbench.errors import InputError
 from fracbench.harness.config.compose import group_options, load_config
-from fracbench.harness.config.paths import asset
+from fracbench.harness.config.paths import asset, checkout
 from fracbench.harness.run.plan import make_plan
 
 PROTOCOL = "# @package _global_\nprotocol: {name}\nparams: {{n_warps: 2, boundary: reflect}}\n"
@@ -108,3 +109,20 @@ def test_other_folders_and_files_of_conf_are_left_alone(own):
     Path("conf/protocol/notes.txt").write_text("{")
     assert load_config({"protocol": "mine"}).dataset == "auto"
     assert "boom" not in sys.modules
+
+
+@pytest.mark.parametrize("text", ["", "params: {n_warps: 1}\n", "# mine\n# @package _global_\nprotocol: bare\n"])
+def test_a_file_without_its_first_line_is_refused_by_name(work, text):
+    write("protocol", "bare", text)
+    with pytest.raises(
+        InputError, match=r"conf/protocol/bare\.yaml: the first line must be `# @package _global_`"
+    ):
+        load_config({"protocol": "bare"})
+
+
+def test_the_example_in_the_documents(work):
+    if (root := checkout()) is None:
+        pytest.skip("the documents are those of a checkout")
+    (text,) = re.findall(r"```yaml\n(.*?)```", (root / "docs/protocol.md").read_text(encoding="utf-8"), re.DOTALL)
+    write("protocol", "mine", text)
+    assert load_config({"protocol": "mine"}).params.alpha == 1.2
