@@ -11,7 +11,7 @@ import numpy.typing as npt
 from threadpoolctl import threadpool_limits
 
 from fracbench.data.gray import to_gray
-from fracbench.errors import InputError
+from fracbench.errors import InputError, nearest, unknown_name
 from fracbench.harness.config.compose import protocol_settings
 from fracbench.methods.method import Method
 from fracbench.methods.registry import DEFAULT_METHOD, get_method
@@ -138,14 +138,23 @@ def estimate_flow(
 
 def settings_of(protocol: str, method: str | None, params: Mapping[str, Any]) -> tuple[Method, Any]:
     """Return the method and all of its parameters for `estimate_flow`."""
-    named, preset = DEFAULT_METHOD, dict[str, Any]()
-    if protocol != DEFAULT_PROTOCOL:  # it sets nothing, so that Hydra need not be loaded
-        named, preset = protocol_settings(protocol)
-    chosen = get_method(method or named).require()
-    settings = chosen.start()
-    if chosen.name == named or chosen.params is FlowParams:
-        settings = chosen.replace(settings, preset)
+    chosen = get_method(method or _named(protocol)[0]).require()
+    for name in params:
+        if nearest(name, ("protocol", *chosen.names)) == "protocol":
+            raise unknown_name("argument", name, ("protocol", *chosen.names))
+    settings = chosen.replace(chosen.start(), preset_of(protocol, chosen) or {})
     return chosen, chosen.replace(settings, params)
+
+
+def preset_of(protocol: str, method: Method) -> dict[str, Any] | None:
+    """Return the parameters that a preset sets for a method; None for a method that has other parameters."""
+    named, preset = _named(protocol)
+    return preset if method.name == named or method.params is FlowParams else None
+
+
+def _named(protocol: str) -> tuple[str, dict[str, Any]]:
+    """Return the method and the parameters of a preset; the default sets nothing, and Hydra need not be loaded."""
+    return (DEFAULT_METHOD, {}) if protocol == DEFAULT_PROTOCOL else protocol_settings(protocol)
 
 
 def _nan_notice(name: str, gap: npt.NDArray[np.bool_]) -> str:

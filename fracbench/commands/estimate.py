@@ -15,6 +15,7 @@ from fracbench.harness.config.grid import parse_overrides
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from fracbench.methods.method import Method
     from fracbench.model.confidence import Confidence
 
 
@@ -37,20 +38,13 @@ def estimate_pair(
     The errors are printed if the true flow is given, and the confidence is drawn if a file for it is named.
     `method` is by default that of the protocol in `overrides`.
     """
-    from fracbench.api import DEFAULT_PROTOCOL, estimate_flow, settings_of
+    from fracbench.api import estimate_flow
     from fracbench.data.files import read_flow, read_image, write_image
     from fracbench.data.gray import to_gray
     from fracbench.model.coarse_to_fine import check_frames
 
-    grid = parse_overrides(overrides)
-    if grid.size > 1:
-        raise InputError(f"estimate takes one value a parameter ({' '.join(overrides)}); use sweep for grids")
-    given: dict[str, Any] = next(grid.points())
-    protocol = given.pop("protocol", DEFAULT_PROTOCOL)
-    if method and "method" in given:
-        raise InputError(f"--method {method} and method={given['method']}: give one of them")
-    method = given.pop("method", method)
-    chosen, settings = settings_of(protocol, method, given)  # which refuses what is wrong before anything is read
+    # which refuses what is wrong before anything is read
+    given, chosen, settings, name = read_settings("estimate", overrides, method)
     picture = color or picture_beside(output)
     inputs = [path for path in (frame0, frame1, truth, mask, initial_flow) if path is not None]
     _require_outputs(output, [picture, confidence] if confidence else [picture], inputs)
@@ -64,16 +58,13 @@ def estimate_pair(
     result = estimate_flow(
         first,
         second,
-        protocol=protocol,
-        method=method,
         mask=hidden,
         initial_flow=start,
         confidence=confidence is not None,
         threads=threads,
         **given,
     )
-    changes = " ".join(token for token in overrides if not token.startswith(("protocol=", "method=")))
-    say_result(result, f"preset {protocol} with {changes}" if changes else f"preset {protocol}")
+    say_result(result, name)
     if expected is not None:
         say_errors(result.flow, expected)
     write_flow_and_picture(result.flow, output, picture)
@@ -82,6 +73,31 @@ def estimate_pair(
         console.say(f"the flows forward and back agree at {share:.1%} of the pixels")
         write_image(confidence, confidence_picture(result.confidence))
         console.say(f"wrote {confidence}")
+
+
+def read_settings(
+    command: str, overrides: Sequence[str], method: str | None
+) -> tuple[dict[str, Any], Method, Any, str]:
+    """Return arguments of `estimate_flow`, the method and the parameters that they stand for, and all in words."""
+    from fracbench.api import DEFAULT_PROTOCOL, preset_of, settings_of
+
+    grid = parse_overrides(overrides)
+    if grid.size > 1:
+        raise InputError(f"{command} takes one value a parameter ({' '.join(overrides)}); use sweep for grids")
+    given: dict[str, Any] = next(grid.points())
+    if method and "method" in given:
+        raise InputError(f"--method {method} and method={given['method']}: give one of them")
+    method = given.pop("method", method)
+    protocol = given.pop("protocol", DEFAULT_PROTOCOL)
+    chosen, settings = settings_of(protocol, method, given)
+    changes = " ".join(token for token in overrides if not token.startswith(("protocol=", "method=")))
+    words = [f"preset {protocol}"]
+    if preset_of(protocol, chosen) is None:  # it says nothing on this method
+        words = ["its defaults"]
+        if protocol != DEFAULT_PROTOCOL:
+            console.note(f"note: {chosen.name} has parameters of its own, and takes none of the preset {protocol}")
+    name = f"{chosen.name} ({' with '.join([*words, *([changes] if changes else [])])})"
+    return {"protocol": protocol, "method": method, **given}, chosen, settings, name
 
 
 def confidence_picture(confidence: Confidence) -> NDArray[Any]:

@@ -95,24 +95,13 @@ def estimate_sequence(
 
 
 def _settings(overrides: Sequence[str], method: str | None) -> Settings:
-    from fracbench.api import DEFAULT_PROTOCOL, settings_of
-    from fracbench.harness.config.grid import parse_overrides
+    from fracbench.commands.estimate import read_settings
     from fracbench.model import SOLVER_VERSION
 
-    grid = parse_overrides(overrides)
-    if grid.size > 1:
-        raise InputError(f"estimate-sequence takes one value a parameter ({' '.join(overrides)})")
-    given: dict[str, Any] = next(grid.points())
-    protocol = given.pop("protocol", DEFAULT_PROTOCOL)
-    chosen, params = settings_of(protocol, method, given)
+    given, chosen, params, name = read_settings("estimate-sequence", overrides, method)
     known = json.dumps([SOLVER_VERSION, chosen.name, chosen.stamp, chosen.values(params)])
-    changes = "".join(f" {token}" for token in overrides if token != f"protocol={protocol}")
-    return Settings(
-        {"protocol": protocol, "method": method, **given},
-        hashlib.sha256(known.encode()).hexdigest(),
-        f"{chosen.name} (preset {protocol}{f' with{changes}' if changes else ''})",
-        not (chosen.package or chosen.requires),
-    )
+    digest = hashlib.sha256(known.encode()).hexdigest()
+    return Settings(given, digest, name, not (chosen.package or chosen.requires))
 
 
 def _require_apart(words: Sequence[str], paths: Sequence[Path], manifest: Manifest) -> None:

@@ -189,16 +189,14 @@ def run_point(tokens: Sequence[str]) -> None:
     _say_settings(plan)
 
 
-def say_result(result: FlowResult, preset: str = "") -> None:
-    """Print notices, method, iterations, seconds and the end of a computation; refuse a flow that diverged."""
+def say_result(result: FlowResult, name: str = "") -> None:
+    """Print notices, method or a longer `name`, iterations, seconds and ending; refuse a flow that diverged."""
     for notice in result.notices:
         console.note(f"note: {notice}")
     if result.stop_reason == "diverged":
         raise InputError("the computation diverged: the flow is not finite; smaller lambda or theta may help")
-    iterations = sum(map(sum, result.iterations))
-    seconds = sum(result.seconds.values())
-    using = f"{result.method} ({preset})" if preset else result.method
-    console.say(f"{using}: {iterations} iterations, {seconds:.2f} s; {result.ending}")
+    counted = f"{sum(map(sum, result.iterations))} iterations, " if result.iterations else ""
+    console.say(f"{name or result.method}: {counted}{sum(result.seconds.values()):.2f} s; {result.ending}")
 
 
 def say_errors(flow: Any, truth: Any) -> None:

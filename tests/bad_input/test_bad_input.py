@@ -224,6 +224,7 @@ def test_pixels_that_are_infinite(bad):
         (["alpha=0:2:1"], "estimate takes one value a parameter (alpha=0:2:1); use sweep"),
         (["region=grove2_A"], "unknown parameter 'region'"),
         (["protocol=acurate"], "unknown protocol 'acurate': did you mean 'accurate'?"),
+        (["protocl=fast"], "unknown argument 'protocl': did you mean 'protocol'?"),
         (["frame0=1"], "unknown parameter 'frame0'"),
         (["trace=true"], "unknown parameter 'trace'"),
         (["--method", "tvl2"], "unknown method 'tvl2': did you mean 'tvl1'?"),

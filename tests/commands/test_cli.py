@@ -405,6 +405,16 @@ def test_the_end_is_told_in_words(cli, images, settings, ended):
         pytest.importorskip("cv2")
     out = cli("estimate", "a.png", "b.png", "-o", "flow.flo", *settings).out
     assert ended in out and "max_iter," not in out
+    assert ("iterations" in out) != ("opencv_dis" in settings)
+
+
+def test_a_preset_is_named_only_where_it_sets_parameters(cli, images):
+    pytest.importorskip("cv2")
+    words = ["estimate", "a.png", "b.png", "-o", "flow.flo", "--method", "opencv_dis"]
+    done = cli(*words, "protocol=fast", "preset=fast")
+    assert done.out.startswith("opencv_dis (its defaults with preset=fast): ")
+    assert done.err == "note: opencv_dis has parameters of its own, and takes none of the preset fast\n"
+    assert cli(*words).err == ""
 
 
 def test_the_default_method_is_that_of_the_python_interface(cli, images):

@@ -103,7 +103,7 @@ def test_bench_estimate_run_and_experiment(images, site):
     assert {"my_flow", "tvl1_sb"} <= set(pd.read_csv(path)["contender"])
     done = run("estimate", "a.png", "b.png", "-o", "out.flo", "--method", "my_flow", "strength=2")
     assert done.returncode == EXIT_DONE, done.stderr
-    assert done.stdout.startswith("my_flow (preset recommended with strength=2): ")
+    assert done.stdout.startswith("my_flow (its defaults with strength=2): ")
     flow = read_flow("out.flo")
     assert flow.shape == (2, 24, 32) and np.ptp(flow, axis=(1, 2)).max() == 0 and flow.any()
     done = run("run", "method=my_flow", "sequence=synthetic_flat", "strength=2")
