@@ -34,7 +34,7 @@ def unknown_name(kind: str, name: str, allowed: Iterable[str], where: str = "") 
     ``unknown region 'grove2_a': did you mean 'grove2_A'? (allowed: ...)``
     """
     options = sorted(allowed)
-    guess = nearest(name, options)
+    guess = nearest(str(name), options)  # in Python a name may be of any type
     hint = f": did you mean {guess!r}?" if guess else ""
     place = f"{where}: " if where else ""
     return InputError(f"{place}unknown {kind} {name!r}{hint} (allowed: {', '.join(options)})")

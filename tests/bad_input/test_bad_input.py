@@ -217,6 +217,12 @@ def test_pixels_that_are_infinite(bad):
         estimate_flow(np.zeros((9, 9)), frame)
 
 
+@pytest.mark.parametrize("name", ["protocol", "method"])
+def test_names_that_are_no_text(name):
+    with pytest.raises(InputError, match=f"unknown {name} 3 "):
+        estimate_flow(np.zeros((9, 9)), np.zeros((9, 9)), **{name: 3})
+
+
 @pytest.mark.parametrize(
     ("words", "named"),
     [
