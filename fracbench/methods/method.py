@@ -61,6 +61,8 @@ class Method:
         Parameters it starts from where they differ from those of `params`.
     younger : mapping
         Parameters that came after results were stored: at the value given here they are no part of a key.
+    limits : mapping
+        Largest values of `FlowParams` where the method allows less, by public name, each with the reason.
     requires : tuple of str
         Modules of other programs.
     options : frozenset of str
@@ -81,6 +83,7 @@ class Method:
     uses: frozenset[str] = _ALL
     defaults: Mapping[str, Any] = field(default_factory=dict)
     younger: Mapping[str, Any] = field(default_factory=dict)
+    limits: Mapping[str, tuple[float, str]] = field(default_factory=dict)
     requires: tuple[str, ...] = ()
     options: frozenset[str] = frozenset()
     frame_dtype: str | None = "float32"
@@ -102,7 +105,7 @@ class Method:
         object.__setattr__(self, "options", frozenset(self.options))
         for name in self.options - _OPTIONS:
             raise unknown_name("option", name, _OPTIONS, f"method {self.name!r}")
-        for name in self.uses.union(self.younger).difference(self.names):
+        for name in self.uses.union(self.younger, self.limits).difference(self.names):
             raise unknown_name("parameter", name, self.names, f"method {self.name!r}")
         self.start()
 
@@ -154,6 +157,7 @@ class Method:
             An unknown name, a value of another type, or one that the dataclass refuses.
         """
         if isinstance(params, FlowParams):
+            self._check_limits(changes)
             return params.replace(changes, where)
         place = f"{where}: method {self.name!r}" if where else f"method {self.name!r}"
         hints, values = typing.get_type_hints(self.params), {}
@@ -172,6 +176,13 @@ class Method:
             return dataclasses.replace(params, **values)
         except Exception as exc:  # of its own __post_init__
             raise InputError(f"{place}: {' '.join(str(exc).split()) or type(exc).__name__}") from exc
+
+    def _check_limits(self, values: Mapping[str, Any]) -> None:
+        for name, (high, reason) in self.limits.items():
+            value = coerce(name, float, values.get(name, high))
+            if value > high:
+                allowed = f"[{FlowParams.info(name).low:g}, {high:g}]"
+                raise InputError(f"`{name}` must be in {allowed}, got {value:g}: {reason}")
 
     def require(self) -> Method:
         """Return the method itself, if all that it needs is installed; else `InputError` says how to get it."""
@@ -213,6 +224,7 @@ class Method:
             if name not in self.options:
                 raise InputError(f"method {self.name!r} takes no `{name}`")
         params = self.restored(params)
+        self._check_limits(fields_of(params))
         if self.frame_dtype is not None:
             frame0, frame1 = np.array(frame0, self.frame_dtype), np.array(frame1, self.frame_dtype)
         shape, started = frame0.shape, time.perf_counter()

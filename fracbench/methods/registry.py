@@ -30,6 +30,10 @@ _PYRAMID = frozenset(FlowParams.names()) - _BEYOND - _INFIMAL - {
 }  # fmt: skip
 # For cheap iterations of little progress; the default of six is for the exact u-step.
 _SMALL_STEPS = {"epsilon": 0.02, "max_iter": 300, "n_warps": 5}
+_PAPERS_ORDERS = (
+    "tvl1_sb_alpha is the paper's method, with the paper's orders; tvl1_sb_alpha_map and tvl1_sb_alpha_ic take "
+    "orders up to 4"
+)
 _OPTIONS = frozenset({"mask", "initial_flow"})
 _BREGMAN = _PYRAMID | {
     "lambda_sb", "u_solver", "inner", "tol", "max_inner", "coupling", "coupling_step", "relaxation"
@@ -83,6 +87,7 @@ def _ours(
     *,
     defaults: Mapping[str, Any] | None = None,
     younger: Mapping[str, Any] | None = None,
+    limits: Mapping[str, tuple[float, str]] | None = None,
 ) -> Method:
     """Return a method of this package, whose module is imported with its first call."""
     estimate = partial(_imported, f"fracbench.methods.{module}", name)
@@ -94,6 +99,7 @@ def _ours(
         uses=uses,
         defaults=defaults or {},
         younger={"finest_scale": 0, **(younger or {})},
+        limits=limits or {},
         options=_OPTIONS,
         frame_dtype=None,
     )
@@ -131,6 +137,7 @@ register(
         "split Bregman with the fractional gradient (Algorithms 1, 2, 4)",
         "paper",
         _BREGMAN | {"alpha", "boundary", "pad"},
+        limits={"alpha": (2.0, _PAPERS_ORDERS)},
     )
 )
 register(

@@ -66,7 +66,8 @@ class FlowParams:
     theta: float = _param(0.3, "tightness of the coupling of u and v", r"\theta", "[0.1, 1]",
                           low=0.0, open_low=True)
     lambda_sb: float = _param(10.0, "split Bregman penalty", r"\lambda_{SB}", "[1, 10]", low=0.0, open_low=True)
-    alpha: float = _param(1.1, "order of the fractional gradient", r"\alpha", "[0, 2]", low=0.0, high=2.0)
+    alpha: float = _param(1.1, "order of the fractional gradient; of the paper's method at most 2", r"\alpha",
+                          "[0, 2]", low=0.0, high=4.0)
     epsilon: float = _param(0.01, "stopping threshold on the change of the flow, pixels", r"\epsilon", "0.01",
                             low=0.0)
     eta: float = _param(0.5, "downsampling factor of the pyramid", r"\eta", "0.5", low=0.1, high=0.95)
@@ -106,10 +107,10 @@ class FlowParams:
     epsilon_squared: bool = _param(True, "compare the mean squared change with epsilon^2; false: with epsilon",
                                    paper_range="both are printed")
     dtype: Literal["float32", "float64"] = _param("float32", "precision of the computation")
-    alpha_flat: float = _param(1.0, "order where frame 0 is flat", low=0.0, high=2.0)
-    alpha_edge: float = _param(1.1, "order where frame 0 has an edge", low=0.0, high=2.0)
-    alpha_corner: float = _param(1.1, "order where frame 0 has a corner", low=0.0, high=2.0)
-    alpha_texture: float = _param(1.2, "order where frame 0 is textured", low=0.0, high=2.0)
+    alpha_flat: float = _param(1.0, "order where frame 0 is flat", low=0.0, high=4.0)
+    alpha_edge: float = _param(1.1, "order where frame 0 has an edge", low=0.0, high=4.0)
+    alpha_corner: float = _param(1.1, "order where frame 0 has a corner", low=0.0, high=4.0)
+    alpha_texture: float = _param(1.2, "order where frame 0 is textured", low=0.0, high=4.0)
     lambda_gradient: float = _param(0.0, "data attachment weight of each image derivative; 0: brightness alone",
                                     low=0.0)
     derivatives: Literal["frame1", "both"] = _param(
@@ -126,7 +127,7 @@ class FlowParams:
     occlusion: Literal["median", "none", "both"] = _param(
         "median", "weighting by visibility: of neighbours in the weighted median, or of these and of the data")
     alpha_smooth: float = _param(1.5, "order of the second part q of the flow u = p + q; alpha is that of p",
-                                 low=0.0, high=2.0)
+                                 low=0.0, high=4.0)
     smooth_weight: float = _param(2.0, "weight of the second part's regularity", low=0.0, open_low=True)
     # fmt: on
 

@@ -262,7 +262,7 @@ OVERRIDES = [
     ("alpha=0:2", "write a range as a:b:step"),
     ("alpha=abc", "`alpha` must be a number, got 'abc'"),
     ("alpha=2.5", "`alpha` must be in [0, 2], got 2.5"),
-    ("alpha=-0.1", "`alpha` must be in [0, 2], got -0.1"),
+    ("alpha=-0.1", "`alpha` must be in [0, 4], got -0.1"),
     ("alpha=nan", "'nan' is not a finite number"),
     ("alpha=1e999", "'1e999' is not a finite number"),
     ("alpha=", "nothing follows '='"),

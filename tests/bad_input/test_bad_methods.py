@@ -144,7 +144,7 @@ SWEPT = [
     (["strenth=1"], "unknown key 'strenth': did you mean 'strength'?"),
     (["strength=0.5,much"], "method 'my_flow': `strength` must be a number, got 'much'"),
     (["strength=50:150:50"], "method 'my_flow': strength 150 is more than 100"),
-    (["alpha=3"], "`alpha` must be in [0, 2], got 3"),
+    (["alpha=5"], "`alpha` must be in [0, 4], got 5"),
     (["strength=1", "params.strength=1"], "'strength' and 'params.strength' are the same key, given twice"),
 ]
 

@@ -115,7 +115,7 @@ def test_the_flow_does_not_depend_on_the_number_of_threads(frames):
         ({"boundary": "zero"}, "tvl1_sb_alpha_ic needs boundary=reflect, got zero"),
         ({"u_solver": "jacobi"}, "needs u_solver=exact, got jacobi"),
         ({"inner": "cold"}, "needs inner=warm, got cold"),
-        ({"alpha_smooth": 2.5}, r"`alpha_smooth` must be in \[0, 2\]"),
+        ({"alpha_smooth": 4.5}, r"`alpha_smooth` must be in \[0, 4\]"),
         ({"smooth_weight": 0.0}, "`smooth_weight` must be greater than 0"),
     ],
 )

@@ -151,3 +151,39 @@ def test_the_recipe_of_a_method_works(monkeypatch):
     result = estimate_flow(np.zeros((9, 9)), np.ones((9, 9)), method="right", pixels="2")
     assert (result.method, result.params) == ("right", module.Params(2.0))
     assert (result.flow[0] == 2).all() and not result.flow[1].any()
+
+
+# -- orders above 2 ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("boundary", ["zero", "reflect"])
+def test_the_papers_method_keeps_the_papers_orders(boundary):
+    method = get_method("tvl1_sb_alpha")
+    says = r"`alpha` must be in \[0, 2\], got 2.5: tvl1_sb_alpha is the paper's method.*tvl1_sb_alpha_map and"
+    for value in (2.5, "2.5"):
+        with pytest.raises(InputError, match=says):
+            method.replace(method.start(), {"alpha": value, "boundary": boundary})
+    frame = np.zeros((8, 8))
+    with pytest.raises(InputError, match=says):
+        method.compute(frame, frame, FlowParams(alpha=2.5, boundary=boundary))
+    assert method.replace(method.start(), {"alpha": 2.0}).alpha == 2.0
+
+
+def test_equal_orders_above_2_are_one_order_of_both_other_methods():
+    """The map of four equal orders, and two parts of which the second is too dear, are a single order."""
+    y, x = np.mgrid[:24, :32] / 6.0
+    frame0 = 120.0 + 100.0 * np.sin(2 * x + y) * np.cos(x - 2 * y)
+    frame1 = 120.0 + 100.0 * np.sin(2 * (x - 0.1) + y) * np.cos((x - 0.1) - 2 * y)
+    usual = {"n_scales": 1, "n_warps": 4, "max_iter": 60, "epsilon": 0.0, "dtype": "float64"}
+    flows = {}
+    for order in (2.0, 3.0):
+        equal = {f"alpha_{name}": order for name in ("flat", "edge", "corner", "texture")}
+        parts = {"alpha": order, "alpha_smooth": order, "smooth_weight": 1e3}
+        for name, orders in (("tvl1_sb_alpha_map", equal), ("tvl1_sb_alpha_ic", parts)):
+            method = get_method(name)
+            params = method.replace(method.start(), {**usual, **orders})
+            flows[name, order] = method.compute(frame0, frame1, params).flow
+        mapped, infimal = flows["tvl1_sb_alpha_map", order], flows["tvl1_sb_alpha_ic", order]
+        np.testing.assert_allclose(infimal, mapped, atol=5e-3)
+        np.testing.assert_allclose(mapped[0, 6:-6, 6:-6], 0.6, atol=0.05)
+    assert np.abs(flows["tvl1_sb_alpha_map", 2.0] - flows["tvl1_sb_alpha_map", 3.0]).max() > 1e-4

@@ -79,8 +79,8 @@ def test_wrong_types_are_refused(name, value, message):
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("alpha", 2.5, r"`alpha` must be in \[0, 2\], got 2.5"),
-        ("alpha", -0.1, r"`alpha` must be in \[0, 2\], got -0.1"),
+        ("alpha", 4.5, r"`alpha` must be in \[0, 4\], got 4.5"),
+        ("alpha", -0.1, r"`alpha` must be in \[0, 4\], got -0.1"),
         ("lambda", 0, r"`lambda` must be greater than 0, got 0"),
         ("theta", 0.0, r"`theta` must be greater than 0, got 0"),
         ("lambda_sb", -5, r"`lambda_sb` must be greater than 0, got -5"),
@@ -107,7 +107,7 @@ def test_values_outside_their_range_are_refused(name, value, message):
 
 @pytest.mark.parametrize(
     ("name", "values"),
-    [("alpha", (0, 2)), ("tau", (1e-9, 0.25)), ("eta", (0.1, 0.95)), ("epsilon", (0,)), ("pad", (0, 99))],
+    [("alpha", (0, 4)), ("tau", (1e-9, 0.25)), ("eta", (0.1, 0.95)), ("epsilon", (0,)), ("pad", (0, 99))],
 )
 def test_bounds_are_allowed_where_the_message_says_so(name, values):
     for value in values:

@@ -18,7 +18,7 @@ from fracbench.model.regularizers import InfimalBregman, SplitBregman
 
 THETA, MU = 0.3, 5.0
 SHAPE = (6, 7)
-ORDERS = [(1.0, 1.5), (0.6, 2.0), (1.4, 0.0)]
+ORDERS = [(1.0, 1.5), (0.6, 2.0), (1.4, 0.0), (1.7, 3.0), (2.3, 4.0)]
 
 
 @pytest.fixture
@@ -105,7 +105,7 @@ def test_the_u_step_is_the_dense_one(rng, orders, both_ways):
     np.testing.assert_allclose(result, operator.apply(parts), atol=1e-12)
 
 
-@pytest.mark.parametrize("orders", [(1.0, 1.5), (1.1, 2.0)])
+@pytest.mark.parametrize("orders", [(1.0, 1.5), (1.1, 2.0), (1.0, 3.0), (1.5, 3.0), (2.0, 4.0)])
 def test_single_precision_holds_at_low_frequencies(rng, orders):
     """On lines of 600 pixels the penalties of both parts are 1e-5 to 1e-10 of the data's weight."""
     shape = (16, 600)
@@ -118,11 +118,17 @@ def test_single_precision_holds_at_low_frequencies(rng, orders):
         operator = InfimalGradient(orders, np.ones((2, *shape)), dtype)
         parts[dtype] = np.empty((2, *shape), dtype)
         operator.solve(v.astype(dtype), w.astype(dtype), THETA, MU, operator.factor(THETA, MU), parts[dtype])
-    np.testing.assert_allclose(parts[np.float32], parts[np.float64], atol=3e-5)
+    np.testing.assert_allclose(parts[np.float32].sum(axis=0), parts[np.float64].sum(axis=0), atol=3e-5)
+    # The flow is exact for all orders. Its parts are as far as the lower order tells them apart.
+    if orders[0] < 1.5:
+        np.testing.assert_allclose(parts[np.float32], parts[np.float64], atol=3e-5)
 
 
 @pytest.mark.parametrize("relaxation", [1.0, 1.7])
-@pytest.mark.parametrize(("orders", "beta"), [((1.0, 1.5), 1.3), ((1.0, 2.0), 1.2), ((0.6, 1.4), 1.5)])
+@pytest.mark.parametrize(
+    ("orders", "beta"),
+    [((1.0, 1.5), 1.3), ((1.0, 2.0), 1.2), ((0.6, 1.4), 1.5), ((1.0, 2.4), 1.3), ((1.0, 3.0), 1.6)],
+)
 def test_split_bregman_reaches_the_minimum(steps, orders, beta, relaxation):
     operator = gradient(orders, beta)
     parts = minimise(operator, steps, relaxation=relaxation)

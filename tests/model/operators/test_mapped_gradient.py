@@ -15,7 +15,7 @@ from fracbench.model.regularizers import SplitBregman
 
 THETA, MU = 0.3, 5.0
 SHAPE = (6, 7)
-ALPHAS = (0.6, 1.0, 1.7)
+ALPHAS = (0.6, 1.0, 1.7, 3.2)
 
 
 @pytest.fixture

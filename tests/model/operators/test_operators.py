@@ -22,10 +22,11 @@ from fracbench.model.operators.zero import (
 )
 
 ALPHAS = (0.0, 0.3, 0.7, 1.0, 1.3, 1.9, 2.0)
+HIGH = (2.3, 3.0, 3.6, 4.0)  # under reflect alone
 SHAPES = ((7, 5), (8, 6), (13, 11), (1, 9), (9, 1), (1, 1), (16, 3))
 CASES = [
     *(("zero", a, pad) for a, pad in itertools.product(ALPHAS, (0, 1, 5))),
-    *(("reflect", a, 0) for a in ALPHAS),
+    *(("reflect", a, 0) for a in ALPHAS + HIGH),
     ("natural", 1.0, 0),
 ]
 OPERATORS = pytest.mark.parametrize(("boundary", "alpha", "pad"), CASES)
@@ -62,14 +63,14 @@ def test_every_form_of_the_left_derivative_is_the_matrix(rng, order, n, pad, dty
         np.testing.assert_allclose(back, turn(d @ matrix), atol=atol)
 
 
-@pytest.mark.parametrize("alpha", ALPHAS)
+@pytest.mark.parametrize("alpha", ALPHAS + HIGH)
 def test_weights_are_signed_binomials(alpha):
     k = np.arange(200)
     expected = (-1.0) ** k * scipy.special.binom(alpha, k)
     np.testing.assert_allclose(gl_weights(alpha, 200), expected, rtol=1e-12, atol=1e-16)
 
 
-@pytest.mark.parametrize("alpha", ALPHAS)
+@pytest.mark.parametrize("alpha", ALPHAS + HIGH)
 def test_weights_equal_the_printed_recurrence(alpha):
     np.testing.assert_allclose(gl_weights(alpha, 50), ref.gl_weights(alpha, 50), rtol=1e-14)
     assert gl_weights(alpha, 1).tolist() == [1.0]
@@ -92,15 +93,16 @@ def test_transposed_left_matrix_is_the_right_derivative(rng, alpha):
     np.testing.assert_allclose(t.T @ (t @ u), ref.composition(u, alpha), atol=1e-12)
 
 
-@pytest.mark.parametrize("alpha", [0.3, 0.7, 1.0, 1.3, 1.9, 2.0])
-def test_derivative_of_a_power_converges_with_order_one(alpha):
-    p = 3
+@pytest.mark.parametrize(
+    ("alpha", "p"), [*((a, 3) for a in (0.3, 0.7, 1.0, 1.3, 1.9, 2.0)), (2.3, 5), (3.0, 5), (3.6, 6)]
+)
+def test_derivative_of_a_power_converges_with_order_one(alpha, p):
     exact = math.gamma(p + 1) / math.gamma(p + 1 - alpha)  # times x^(p - alpha), on (0, 1]
     errors = []
     for n in (64, 128, 256, 512):
         x = np.arange(n + 1) / n
         approximate = n**alpha * (left_derivative_matrix(alpha, n + 1) @ x**p)
-        errors.append(np.abs(approximate - exact * x ** (p - alpha)).max())
+        errors.append(np.abs(approximate / exact - x ** (p - alpha)).max())
     orders = np.log2(np.divide(errors[:-1], errors[1:]))
     np.testing.assert_allclose(orders, 1.0, atol=0.05)
     assert errors[-1] < 0.02
@@ -228,7 +230,7 @@ def mirrored(i, n):
 
 
 def difference(u, alpha, axis, ghost, side):
-    coefficients = {0: (1.0,), 1: (1.0, -1.0), 2: (1.0, -2.0, 1.0)}[alpha]
+    coefficients = [(-1) ** k * math.comb(alpha, k) for k in range(alpha + 1)]
     return sum(c * shifted(u, side * k, axis, ghost) for k, c in enumerate(coefficients))
 
 
@@ -240,7 +242,7 @@ def test_zero_with_whole_orders_is_plain_differences(rng, alpha):
     np.testing.assert_allclose(d[0, 1], difference(u, alpha, 0, nothing, 1), atol=1e-14)
 
 
-@pytest.mark.parametrize("alpha", [0, 1, 2])
+@pytest.mark.parametrize("alpha", [0, 1, 2, 3, 4])
 def test_reflect_with_whole_orders_is_differences_with_mirrored_ghosts(rng, alpha):
     u = rng.normal(size=(6, 7))
     d = ReflectGradient(alpha, u.shape).apply(u)
@@ -265,7 +267,7 @@ def test_padding_adds_derivatives_past_the_right_and_bottom_edge():
 # -- reflect -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("alpha", [0.3, 0.7, 1.3, 1.9])
+@pytest.mark.parametrize("alpha", [0.3, 0.7, 1.3, 1.9, 2.3, 3.6])
 def test_reflect_is_the_long_sum_over_the_even_extension(rng, alpha):
     n, terms = 9, 100_000
     line = rng.normal(size=n)
@@ -280,7 +282,7 @@ def test_reflect_is_the_long_sum_over_the_even_extension(rng, alpha):
     np.testing.assert_allclose(d[1, 0, 0], right, atol=1e-5)
 
 
-@pytest.mark.parametrize("alpha", [1e-3, *ALPHAS[1:]])
+@pytest.mark.parametrize("alpha", [1e-3, *ALPHAS[1:], *HIGH])
 @SIZES
 def test_reflect_of_a_constant_is_zero(alpha, shape):
     d = ReflectGradient(alpha, shape).apply(np.full(shape, 3.7))
@@ -292,7 +294,7 @@ def test_order_zero_differs_from_small_orders_under_reflect():
     np.testing.assert_allclose(ReflectGradient(0.0, (4, 5)).apply(constant), 1.0, atol=1e-14)
 
 
-@pytest.mark.parametrize("alpha", ALPHAS)
+@pytest.mark.parametrize("alpha", ALPHAS + HIGH)
 @pytest.mark.parametrize("n", [1, 2, 7, 12])
 def test_reflect_eigenvalues_are_powers_of_the_sine(alpha, n):
     left, right = ref.derivative_matrices("reflect", alpha, n)
@@ -304,7 +306,7 @@ def test_reflect_eigenvalues_are_powers_of_the_sine(alpha, n):
     np.testing.assert_allclose(ReflectGradient(alpha, (n, 3)).eigenvalues()[0], eigenvalues, atol=1e-13)
 
 
-@pytest.mark.parametrize("alpha", ALPHAS)
+@pytest.mark.parametrize("alpha", ALPHAS + HIGH)
 def test_reflect_is_symmetric_under_flips(rng, alpha):
     u = rng.normal(size=(6, 7))
     operator = ReflectGradient(alpha, u.shape)
@@ -313,6 +315,20 @@ def test_reflect_is_symmetric_under_flips(rng, alpha):
     np.testing.assert_allclose(flipped[:, 1], d[:, 1], atol=1e-13)
     turned = ReflectGradient(alpha, (7, 6)).apply(u.T).transpose(0, 1, 3, 2)
     np.testing.assert_allclose(turned[:, ::-1], d, atol=1e-13)
+
+
+@pytest.mark.parametrize("alpha", [0.3, 1.0, 1.7, 2.0, *HIGH])
+def test_derivatives_of_a_cosine_converge_with_order_one(alpha):
+    """Of cos(kx), even about both ends of [0, pi], the left derivative is k^alpha cos(kx + alpha pi / 2)."""
+    k, errors = 3, []
+    for n in (64, 128, 256, 512):
+        step = math.pi / n
+        x = (np.arange(n) + 0.5) * step
+        d = ReflectGradient(alpha, (1, n)).apply(np.cos(k * x)[None]) / step**alpha
+        exact = [k**alpha * np.cos(k * x + sign * alpha * math.pi / 2) for sign in (1, -1)]
+        errors.append(np.abs(d[:, 0, 0] - exact).max() / k**alpha)
+    np.testing.assert_allclose(np.log2(np.divide(errors[:-1], errors[1:])), 1.0, atol=0.05)
+    assert errors[-1] < 0.02 * alpha
 
 
 # -- make_operator -------------------------------------------------------------------------------
@@ -330,9 +346,10 @@ def test_make_operator_gives_the_operator_of_the_boundary(boundary, kind):
 @pytest.mark.parametrize(
     ("args", "message"),
     [
-        (("zero", -0.1), r"`alpha` must lie in \[0, 2\], got -0.1"),
-        (("reflect", 2.1), r"`alpha` must lie in \[0, 2\], got 2.1"),
-        (("zero", math.nan), r"`alpha` must lie in \[0, 2\], got nan"),
+        (("zero", -0.1), r"`alpha` must lie in \[0, 2\] under boundary=zero, got -0.1"),
+        (("zero", 2.1), r"`alpha` must lie in \[0, 2\] under boundary=zero, got 2.1"),
+        (("reflect", 4.1), r"`alpha` must lie in \[0, 4\] under boundary=reflect, got 4.1"),
+        (("zero", math.nan), r"`alpha` must lie in \[0, 2\] under boundary=zero, got nan"),
         (("reflct", 1.0), "unknown boundary 'reflct': did you mean 'reflect'?"),
         (("natural", 1.2), "boundary=natural is defined for alpha = 1, got alpha = 1.2"),
     ],

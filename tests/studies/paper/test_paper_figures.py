@@ -143,7 +143,10 @@ def test_table_1_is_written_three_ways_under_one_name_whatever_the_data(tmp_path
     pd.testing.assert_frame_equal(table, parameter_table(), check_dtype=False)
     assert r"| $\lambda_{SB}$" in written[0]["table1.md"]
     latex = written[0]["table1.tex"]
-    assert r"$\alpha$ & alpha & order of the fractional gradient & [0, 2] & [0, 2] &" in latex
+    assert (
+        r"$\alpha$ & alpha & order of the fractional gradient; of the paper's method at most 2 & [0, 2] & [0, 4] &"
+        in latex
+    )
     body = re.sub(r"\$[^$]*\$", "", latex)
     assert r"lambda\_sb" in body and not re.search(r"(?<!\\)[_^%]", body)
 
