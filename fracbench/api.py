@@ -50,8 +50,9 @@ def estimate_flow(
         ``0.299 R + 0.587 G + 0.114 B`` (rounded down for integers); alpha channels are ignored. Pixels that
         are NaN do not count, as if they were in the mask; a notice says how many there are.
     protocol : str, optional
-        The preset: ``fast`` (half-size frames), ``recommended``, ``accurate`` (smaller errors, slower), or another
-        file of ``conf/protocol``, of the package or of the working folder.
+        The preset: ``fast`` (half-size frames), ``recommended``, ``accurate`` (smaller errors, slower), ``fluid``
+        (smooth motion, particle images), or another file of ``conf/protocol``, of the package or of the working
+        folder.
     method : str, optional
         Name in the registry (``fracbench methods`` lists them) or of the entry point of an installed package. By
         default it is the method of the preset. Methods with parameters of their own take none from a preset that

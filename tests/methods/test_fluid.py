@@ -1,0 +1,49 @@
+"""The preset `fluid`: on the public particle images, and where the motion is large."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fracbench import estimate_flow
+from fracbench.data.datasets.registry import find_folder, list_sequences, load_sequence
+from fracbench.errors import DataError
+
+INNER = (slice(None), slice(16, -16), slice(16, -16))
+
+
+def error(flow, truth):
+    return float(np.hypot(*(flow - truth)[INNER]).mean())
+
+
+def test_the_public_particle_images():
+    try:
+        folder = find_folder("piv")
+    except DataError as exc:
+        pytest.skip(str(exc))
+    pairs = [load_sequence(name, "piv", folder) for name in list_sequences("piv", folder)]
+    names = {"DNS_turbulence_00001", "JHTDB_isotropic1024_hd_00001", "SQG_00001", "backstep_Re800_00001"}
+    if {pair.name for pair in pairs} != names:
+        pytest.skip(f"{folder}: not the four pairs whose errors are documented")
+    flows = [estimate_flow(pair.frame0, pair.frame1, protocol="fluid").flow for pair in pairs]
+    errors = [error(flow, pair.truth) for flow, pair in zip(flows, pairs, strict=True)]
+    assert np.mean(errors) == pytest.approx(0.0895, abs=0.001)
+
+
+def particles(x, y, brightness, size):
+    """An image of Gaussian particles: a product of two matrices, since a Gaussian is one of its axes'."""
+    along_x, along_y = (np.exp(-((np.arange(size) - np.reshape(p, (-1, 1))) ** 2) / 1.5) for p in (x, y))
+    return (along_y.T * brightness) @ along_x
+
+
+def test_a_vortex_of_12_pixels():
+    rng, size, angle = np.random.default_rng(0), 160, 0.15
+    x, y = rng.uniform(-40, size + 40, (2, 4000)) - size / 2
+    brightness = rng.uniform(100, 230, x.size)
+    cosine, sine = np.cos(angle), np.sin(angle)
+    frame0 = particles(x + size / 2, y + size / 2, brightness, size)
+    frame1 = particles(cosine * x - sine * y + size / 2, sine * x + cosine * y + size / 2, brightness, size)
+    v, u = np.mgrid[:size, :size] - size / 2
+    truth = np.stack([cosine * u - sine * v - u, sine * u + cosine * v - v])
+    assert 12.0 < np.hypot(*truth[INNER]).max() < 14.0
+    assert error(estimate_flow(frame0, frame1, protocol="fluid").flow, truth) < 0.1
