@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -110,7 +111,8 @@ def summarise(courses: pd.DataFrame, gap: float, literal: Mapping[float, float])
             near = part[part["gap"] <= level].iloc[0]
             base = own.loc[own["gap"] <= level, "seconds"].min()
             counts = int(near["iteration"]), int(near["u_steps"])
-            records.append([alpha, solver, level, *counts, near["seconds"], near["seconds"] / base])
+            ratio = near["seconds"] / base if base else math.nan  # no time passes before the first iteration
+            records.append([alpha, solver, level, *counts, near["seconds"], ratio])
             if solver in LITERAL:
                 seconds = near["seconds"] + near["u_steps"] * literal[float(alpha)]
                 records.append([alpha, LITERAL[solver], level, *counts, seconds, seconds / base])
