@@ -124,5 +124,5 @@ def test_the_example_in_the_documents(work):
     if (root := checkout()) is None:
         pytest.skip("the documents are those of a checkout")
     (text,) = re.findall(r"```yaml\n(.*?)```", (root / "docs/protocol.md").read_text(encoding="utf-8"), re.DOTALL)
-    write("protocol", "mine", text)
-    assert load_config({"protocol": "mine"}).params.alpha == 1.2
+    write("protocol", "my_preset", text)
+    assert load_config({"protocol": "my_preset"}).params.alpha == 1.2
