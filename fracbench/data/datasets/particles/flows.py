@@ -1,7 +1,6 @@
 """Velocity fields of fluids, and the displacement of what they carry.
 
-All fields are steady and free of divergence. Points are (x, y), x to the right and y down, in pixels. A field is
-made for a height and a width; `side` is the shorter of the two.
+All fields are steady and free of divergence. Points are (x, y), x to the right and y down, in pixels.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 Plane = NDArray[np.float64]
 Velocity = Callable[[Plane, Plane], tuple[Plane, Plane]]
 
-#: The steepest energy spectra of turbulence in two dimensions fall as k^-3, that of Kolmogorov as k^-5/3.
+#: The exponent of Kolmogorov's energy spectrum, k^-5/3.
 KOLMOGOROV = 5.0 / 3.0
 #: The wavelengths of the random field, in units of the shorter side.
 LONGEST, SHORTEST = 1.0, 1.0 / 8.0
@@ -38,7 +37,7 @@ class Flow:
     def trace(self, x: Plane, y: Plane) -> tuple[Plane, Plane]:
         """Return where particles at these points are one frame later; those in walls stay.
 
-        Trajectories are integrated in float64 by Dormand and Prince's method of order 8, to 1e-6 pixels.
+        Trajectories are integrated in float64 by Dormand and Prince's method of order 8, to 1e-5 pixels.
         """
         from scipy.integrate import solve_ivp
 

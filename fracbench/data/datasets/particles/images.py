@@ -26,7 +26,7 @@ AROUND = 40.0
 #: The settings beside noise and seed: usual, smallest and largest value.
 SETTINGS = {
     "density": (0.05, 0.001, 0.5),
-    "diameter": (2.5, 0.5, 10.0),
+    "diameter": (3.0, 0.5, 10.0),
     "lost": (0.0, 0.0, 0.9),
     "background": (0.0, 0.0, 255.0),
     "displacement": (5.0, 0.5, 12.0),
@@ -193,5 +193,6 @@ DATASET = Dataset(
     shape=lambda name, folder: SHAPE,
     load=lambda name, folder, **settings: particle_pair(name, **settings),
     digest=lambda name, folder, **settings: digest(name, **settings),
+    outliers=False,  # of driving scenes
     settings={"noise": 0.0, "seed": 0, **{key: usual for key, (usual, _, _) in SETTINGS.items()}},
 )
