@@ -7,7 +7,6 @@ import hashlib
 import os
 import re
 import sys
-import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -397,26 +396,9 @@ def _data(arguments: argparse.Namespace) -> int:
 
 
 def _warmup(arguments: argparse.Namespace) -> None:
-    from fracbench.commands.run import compile_for
-    from fracbench.harness.config.compose import group_options, protocol_settings
-    from fracbench.methods.registry import METHODS, get_method
-    from fracbench.model.kernels.jit import cache_folder
-    from fracbench.model.params import FlowParams
+    from fracbench.commands.warmup import warmup
 
-    started = time.perf_counter()
-    methods = [get_method(name) for name in arguments.methods or METHODS]
-    presets = [protocol_settings(name)[1] for name in group_options("protocol")]
-    loops = compile_for(
-        (method.name, method.start().replace(preset))
-        for method in methods
-        if method.params is FlowParams
-        for preset in presets
-    )
-    seconds = time.perf_counter() - started
-    folder = cache_folder()
-    if folder is None:
-        raise InputError("numba has no folder for its cache: set NUMBA_CACHE_DIR to one that can be written")
-    console.say(f"{loops} loops compiled in {seconds:.1f} s; the cache is in {folder}")
+    warmup(arguments.methods)
 
 
 def _methods(_: argparse.Namespace) -> None:

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fracbench.commands import console
-from fracbench.commands.run import compile_for, picture_beside, say_errors, say_result, write_flow_and_picture
+from fracbench.commands.flow_output import picture_beside, say_errors, say_result, write_flow_and_picture
+from fracbench.commands.warmup import compile_for
 from fracbench.errors import InputError
 from fracbench.harness.config.grid import parse_overrides
 
@@ -54,7 +55,7 @@ def estimate_pair(
     start = _of_size(size, initial_flow, "initial flow", read_flow(initial_flow)) if initial_flow else None
     hidden = _of_size(size, mask, "mask", _not_black(read_image(mask))) if mask else None
     check_frames(to_gray(first, name="frame0", nan=True), to_gray(second, name="frame1", nan=True))
-    compile_for([(chosen.name, settings)])
+    compile_for([(chosen.name, settings)], errors=truth is not None)
     result = estimate_flow(
         first,
         second,

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from contextlib import suppress
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
 
 from fracbench.commands import console
+from fracbench.commands.flow_output import picture_beside, say_errors, say_result, write_flow_and_picture
+from fracbench.commands.warmup import compile_for
 from fracbench.errors import InputError
 from fracbench.harness.config.experiment import Experiment
 from fracbench.harness.config.grid import parse_overrides
 from fracbench.harness.run import sweep
 from fracbench.harness.run.plan import Plan, make_plan, plan_artefact
 from fracbench.harness.run.store import RUNS, STORE, Store
-
-if TYPE_CHECKING:
-    from fracbench.model.coarse_to_fine import FlowResult
 
 
 def run_experiment(
@@ -71,38 +67,6 @@ def run_plan(plan: Plan, name: str, jobs: int, *, rerun_failed: bool = False) ->
             compile_for((point.method, point.params) for point in todo.values())
         with console.progress(len(todo), name) as advance:
             return sweep.run(plan, store, jobs=jobs, rerun_failed=rerun_failed, on_row=advance)
-
-
-def compile_for(settings: Iterable[tuple[str, Any]]) -> int:
-    """Compile all that these methods call with these parameters, and say so; return the number of loops.
-
-    Worker processes would compile the same at once. Where a method fails, its points will tell.
-    """
-    import numpy as np
-
-    from fracbench.evaluation.metrics import flow_errors
-    from fracbench.methods.registry import get_method
-    from fracbench.methods.warmup import on_compilation, variant, warm_up
-    from fracbench.model.params import FlowParams
-
-    loops, seen = 0, set()
-    with console.compiling() as advance:
-
-        def count() -> None:
-            nonlocal loops
-            loops += 1
-            advance()
-
-        for name, params in settings:
-            method, chosen = get_method(name), variant(name, params)
-            if chosen not in seen and isinstance(params, FlowParams):
-                seen.add(chosen)
-                with suppress(Exception):
-                    warm_up(method, params, count)
-        if seen:
-            with on_compilation(count):
-                flow_errors(*np.zeros((2, 2, 4, 4), np.float32))
-    return loops
 
 
 def require_workers(jobs: int) -> None:
@@ -187,44 +151,3 @@ def run_point(tokens: Sequence[str]) -> None:
     output = folder / f"{name}.flo"
     write_flow_and_picture(flow, output, picture_beside(output))
     _say_settings(plan)
-
-
-def say_result(result: FlowResult, name: str = "") -> None:
-    """Print notices, method or a longer `name`, iterations, seconds and ending; refuse a flow that diverged."""
-    for notice in result.notices:
-        console.note(f"note: {notice}")
-    if result.stop_reason == "diverged":
-        raise InputError("the computation diverged: the flow is not finite; smaller lambda or theta may help")
-    counted = f"{sum(map(sum, result.iterations))} iterations, " if result.iterations else ""
-    console.say(f"{name or result.method}: {counted}{sum(result.seconds.values()):.2f} s; {result.ending}")
-
-
-def say_errors(flow: Any, truth: Any) -> None:
-    """Print the errors of a flow, shape (2, H, W), in radians, degrees, pixels and per cent."""
-    from fracbench.evaluation.metrics import accuracy, endpoint_error, flow_errors, robustness
-
-    errors = flow_errors(flow, truth)
-    distances = endpoint_error(flow, truth)
-    degrees, spread = errors.degrees
-    console.say(
-        f"AAE {errors.aae:.4f} rad ({degrees:.2f} deg), SDAE {errors.sdae:.4f} rad ({spread:.2f} deg), "
-        f"AEPE {errors.aepe:.4f} px, R1.0 {robustness(distances, 1.0):.2f} %, "
-        f"A95 {accuracy(distances, 95):.3f} px; {errors.n_pixels} pixels scored, "
-        f"{errors.n_unknown} of unknown truth, {errors.n_nonfinite} not finite"
-    )
-
-
-def picture_beside(flow: Path) -> Path:
-    """Return the default place of a flow's colour picture: ``NAME.color.png`` beside it."""
-    return flow.with_name(f"{flow.stem}.color.png")
-
-
-def write_flow_and_picture(flow: Any, path: Path, picture: Path) -> None:
-    """Write a flow, shape (2, H, W), as ``.flo`` or KITTI ``.png``, and its colour picture."""
-    from fracbench.data.files import write_flow, write_image
-    from fracbench.figures.flowcolor import flow_to_color
-
-    write_flow(path, flow)
-    write_image(picture, flow_to_color(flow))
-    console.say(f"wrote {path}")
-    console.say(f"wrote {picture}")
