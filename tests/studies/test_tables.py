@@ -70,10 +70,10 @@ def test_points_that_share_a_key_have_a_row_each(fake_rows):
     assert len(tidy(made, fake_rows(made))) == 2
 
 
-def test_every_parameter_of_the_point_is_a_column(fake_rows):
+def test_every_parameter_of_the_key_is_a_column(fake_rows):
     made = plan("alpha=1")
     table = tidy(made, fake_rows(made))
-    for name, value in made.points[0].point.canonical.items():
+    for name, value in made.points[0].point.spec["params"].items():
         (shown,) = table[name]
         assert shown == value or float(shown) == float(value)
     assert table["lambda"].dtype.kind == "f"
@@ -121,6 +121,15 @@ def test_counts_stay_whole_beside_a_point_that_failed(fake_rows, tmp_path):
 def test_a_label_that_only_some_points_have_is_blank_elsewhere(fake_rows):
     made = make_plan(["region=grove2_A", "shift=null,3", "dataset=synthetic"], allow_download=False)
     assert tidy(made, fake_rows(made))["shift"].tolist() == ["", "3"]
+
+
+def test_a_younger_parameter_has_a_column_only_where_it_is_unusual(fake_rows):
+    """The tables of commands that were typed before it came stay as they are, to the byte."""
+    for words, expected in (((), False), (("finest_scale=0",), False), (("finest_scale=0,1",), True)):
+        made = make_plan(["sequence=synthetic_flat", "alpha=1,1.2", *words])
+        assert ("finest_scale" in tidy(made, fake_rows(made))) == expected
+    table = tidy(made, fake_rows(made))
+    assert sorted(table["finest_scale"]) == [0, 0, 1, 1]
 
 
 # -- the paper beside ours -----------------------------------------------------------------------

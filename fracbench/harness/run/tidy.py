@@ -23,7 +23,8 @@ def tidy(plan: Plan, rows: Mapping[str, Row]) -> pd.DataFrame:
     """Return one row a planned flow: labels, parameters, errors, iterations, how it ended.
 
     Points without a row have the status ``missing``, failed ones NaN errors; parameters that are numbers in every
-    row are numbers.
+    row are numbers. A parameter that came after results were stored (`Method.younger`) has a column only where a
+    point has an unusual value of it, so that older tables stay as they are.
     """
     import pandas as pd
 
@@ -47,7 +48,9 @@ def tidy(plan: Plan, rows: Mapping[str, Row]) -> pd.DataFrame:
         record["key"] = planned.point.key
         records.append(record)
     table = pd.DataFrame.from_records(records)
-    parameters = {name for planned in plan.points for name in planned.point.canonical}
+    parameters = {name for planned in points for name in planned.point.canonical}
+    keyed = {name for planned in points for name in planned.point.spec["params"]}
+    table = table.drop(columns=parameters - keyed)
     for column in table.columns:
         if column in METRICS or column in parameters:
             table[column] = _as_numbers(table[column])
