@@ -29,7 +29,7 @@ VERDICTS = (HOLDS, IN_PART, FAILS, UNKNOWN)
 PROTOCOLS = {
     "reference": "the paper's model, computed correctly and to convergence",
     "published": "the run nearest to the printed Table 2: coarse flow halved on upsampling, few iterations",
-    "as_printed": "Algorithms 1 and 2 to the letter: the flow to linearise about is never renewed",
+    "as_printed": "Algorithms 1 and 2 to the letter: the linearisation point u0 is never updated",
 }
 #: The reference under ``boundary=reflect`` and with pixels around the region: no pull to 0 at its edges.
 CONTEXT = "reference, reflect + context"

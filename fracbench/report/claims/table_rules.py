@@ -85,7 +85,7 @@ def best_inside(tables: Tables, setting: str, *, experiment: str, x: str, low: f
             verdicts.append(grade(low <= places[-1] <= high, bool(((near >= low) & (near <= high)).any())))
     evidence = (
         f"{verdicts.count(HOLDS)} of {len(verdicts)} curves have their minimum from {low:g} to {high:g}, "
-        f"{verdicts.count(IN_PART)} more are within 2 % there; the minima lie at {_NAMES.get(x, x)} "
+        f"further curves within 2 % there: {verdicts.count(IN_PART)}; the minima lie at {_NAMES.get(x, x)} "
         f"{span(places)}."
     )
     return combine(verdicts), evidence

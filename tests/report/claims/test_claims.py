@@ -320,7 +320,7 @@ def test_a_flat_minimum_holds_in_part_near_it():
 
     found = judge("best_inside", {"fig2": fig2(flat)}, **BEST_INSIDE)["reference"]
     assert found.verdict == "holds in part"
-    assert "0 of 6 curves" in found.evidence and "6 more are within 2 %" in found.evidence
+    assert "0 of 6 curves" in found.evidence and "further curves within 2 % there: 6" in found.evidence
     assert "lie at lambda_SB 0.1." in found.evidence
 
 
