@@ -107,6 +107,8 @@ class Method:
             raise unknown_name("option", name, _OPTIONS, f"method {self.name!r}")
         for name in self.uses.union(self.younger, self.limits).difference(self.names):
             raise unknown_name("parameter", name, self.names, f"method {self.name!r}")
+        if self.limits and self.params is not FlowParams:
+            raise InputError(f"method {self.name!r}: `limits` are for the methods with FlowParams")
         self.start()
 
     @cached_property
@@ -178,9 +180,10 @@ class Method:
             raise InputError(f"{place}: {' '.join(str(exc).split()) or type(exc).__name__}") from exc
 
     def _check_limits(self, values: Mapping[str, Any]) -> None:
+        by_name = {public_name(name): value for name, value in values.items()}
         for name, (high, reason) in self.limits.items():
-            value = coerce(name, float, values.get(name, high))
-            if value > high:
+            value = coerce(name, float | None, by_name.get(name))
+            if value is not None and value > high:
                 allowed = f"[{FlowParams.info(name).low:g}, {high:g}]"
                 raise InputError(f"`{name}` must be in {allowed}, got {value:g}: {reason}")
 

@@ -74,6 +74,7 @@ MODULES = [
     ),
     (method("defaults={'strenth': 1}"), "unknown parameter 'strenth': did you mean 'strength'?"),
     (method("uses={'strenth'}"), "unknown parameter 'strenth': did you mean 'strength'?"),
+    (method("limits={'strength': (2.0, 'no more')}"), "`limits` are for the methods with FlowParams"),
     (method("colour=1"), "TypeError: Method.__init__() got an unexpected keyword argument 'colour'"),
     (method().replace("(frozen=True)", ""), "must be a frozen dataclass: write @dataclass(frozen=True)"),
     (method(fields="strength: float = 'much'"), "the defaults are refused: `strength` must be a number"),

@@ -169,6 +169,22 @@ def test_the_papers_method_keeps_the_papers_orders(boundary):
     assert method.replace(method.start(), {"alpha": 2.0}).alpha == 2.0
 
 
+def test_limits_hold_for_each_spelling_and_for_parameters_that_may_be_none():
+    limits = {"lambda": (0.5, "a reason"), "n_scales": (3, "another")}
+    method = dataclasses.replace(get_method("tvl1"), limits=limits)
+    frame = np.zeros((8, 8))
+    for refuse in (
+        lambda: method.replace(method.start(), {"lambda": 0.9}),
+        lambda: method.replace(method.start(), {"lambda_": "0.9"}),
+        lambda: method.compute(frame, frame, FlowParams(lambda_=0.9)),
+    ):
+        with pytest.raises(InputError, match=r"`lambda` must be in \[0, 0.5\], got 0.9: a reason"):
+            refuse()
+    assert method.replace(method.start(), {"n_scales": "auto", "lambda_": 0.5}).n_scales is None
+    with pytest.raises(InputError, match=r"`n_scales` must be in \[1, 3\], got 4: another"):
+        method.compute(frame, frame, FlowParams(n_scales=4))
+
+
 def test_equal_orders_above_2_are_one_order_of_both_other_methods():
     """The map of four equal orders, and two parts of which the second is too dear, are a single order."""
     y, x = np.mgrid[:24, :32] / 6.0
