@@ -10,9 +10,8 @@ import numpy as np
 from fracbench.errors import InputError
 from fracbench.methods.paper import split_bregman, v_step
 from fracbench.model import pyramid
-from fracbench.model.coarse_to_fine import FlowResult, RunOptions, check_frames, coarse_to_fine
+from fracbench.model.coarse_to_fine import FlowResult, RunOptions, coarse_to_fine
 from fracbench.model.data_terms.choose import residual_factory
-from fracbench.model.data_terms.masked import without_masked
 from fracbench.model.flow_filters import flow_filter
 from fracbench.model.kernels.arrays import Array
 from fracbench.model.operators.alpha_map import MappedGradient
@@ -31,15 +30,13 @@ def tvl1_sb_alpha_map(
     """
     if options.get("trace") and params.lambda_gradient:
         raise InputError("`trace` needs lambda_gradient=0: the energy that it records is the paper's")
-    check_frames(frame0, frame1)
-    frame0, frame1 = without_masked(frame0, frame1, options.get("mask"))
     return coarse_to_fine(
         frame0,
         frame1,
         params,
         _by_class,
         any_v_step,
-        make_residual=residual_factory(frame0, frame1, params),
+        prepare_data=residual_factory,
         make_flow_filter=flow_filter,
         method="tvl1_sb_alpha_map",
         **options,

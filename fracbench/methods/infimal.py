@@ -9,9 +9,8 @@ import numpy as np
 from fracbench.errors import InputError
 from fracbench.methods.alpha_map import any_v_step
 from fracbench.model import pyramid
-from fracbench.model.coarse_to_fine import FlowResult, RunOptions, check_frames, coarse_to_fine
+from fracbench.model.coarse_to_fine import FlowResult, RunOptions, coarse_to_fine
 from fracbench.model.data_terms.choose import residual_factory
-from fracbench.model.data_terms.masked import without_masked
 from fracbench.model.flow_filters import flow_filter
 from fracbench.model.kernels.arrays import Array
 from fracbench.model.operators.infimal import InfimalGradient
@@ -31,8 +30,6 @@ def tvl1_sb_alpha_ic(
             raise InputError(f"tvl1_sb_alpha_ic needs {name}={only}, got {getattr(params, name)}")
     if options.get("trace"):
         raise InputError("tvl1_sb_alpha_ic has no `trace`: the energy that it records is that of one order")
-    check_frames(frame0, frame1)
-    frame0, frame1 = without_masked(frame0, frame1, options.get("mask"))
     steps: list[InfimalBregman] = []  # that of the last scale
 
     def next_scale(params: FlowParams, frame0: Array) -> Regularizer:
@@ -50,7 +47,7 @@ def tvl1_sb_alpha_ic(
         params,
         next_scale,
         any_v_step,
-        make_residual=residual_factory(frame0, frame1, params),
+        prepare_data=residual_factory,
         make_flow_filter=flow_filter,
         method="tvl1_sb_alpha_ic",
         **options,

@@ -28,6 +28,7 @@ UNKNOWN = 1e9
 RegularizerFactory = Callable[[FlowParams, Array], Regularizer]
 VStepFactory = Callable[[Array, FlowParams], VStep]
 ResidualFactory = Callable[[Array, Array, FlowParams], Residual]
+DataFactory = Callable[[Array, Array, FlowParams], ResidualFactory]
 FlowFilterFactory = Callable[[Array, Array, FlowParams], Callable[[Array], Array] | None]
 
 
@@ -111,7 +112,7 @@ def coarse_to_fine(
     make_regularizer: RegularizerFactory,
     make_v_step: VStepFactory = PenaltyStep,
     *,
-    make_residual: ResidualFactory = Brightness,
+    prepare_data: DataFactory = lambda *_: Brightness,
     make_flow_filter: FlowFilterFactory | None = None,
     method: str = "",
     trace: bool = False,
@@ -125,8 +126,11 @@ def coarse_to_fine(
     frame0, frame1 : ndarray, shape (H, W)
         Gray frames of any scale of intensity; never changed.
     params : FlowParams
-    make_regularizer, make_v_step, make_residual : callable
-        Return the u-step, the v-step and the data term of a scale; the last two are the paper's by default.
+    make_regularizer, make_v_step : callable
+        Return the u-step and the v-step of a scale; the paper's v-step by default.
+    prepare_data : callable, optional
+        Takes the frames, with masked pixels filled, and returns the function that makes the data term of a scale
+        from the frames there; it is the paper's by default.
     make_flow_filter : callable, optional
         Returns the filter of the flow after each warp at a scale, e.g. a median filter.
     method : str, optional
@@ -150,6 +154,7 @@ def coarse_to_fine(
     dtype = np.dtype(params.dtype)
     shapes = pyramid.scale_shapes(frame0.shape, params.eta, params.n_scales)
     frame0, frame1 = without_masked(frame0, frame1, mask)
+    make_residual = prepare_data(frame0, frame1, params)
     shares = None if mask is None else valid_shares(mask, shapes, params.eta, dtype)
     pyramids = parallel_map(
         lambda frame: pyramid.build(pyramid.smooth(frame, params.presmoothing), shapes, params.eta),
