@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar
 
 import numpy as np
-import scipy.fft
 
-from fracbench.errors import InputError
 from fracbench.model.kernels.arrays import Array, Float64Array
 from fracbench.model.kernels.cosine import cosine
 from fracbench.model.kernels.jit import jit
 from fracbench.model.kernels.simd import AVAILABLE
 from fracbench.model.kernels.threads import parallel_for
+from fracbench.model.operators.alpha_map import MappedGradient
 from fracbench.model.operators.base import System
-from fracbench.model.operators.reflect import CosineGradient, ReflectGradient
 
 
-class InfimalGradient(CosineGradient):
+class InfimalGradient(MappedGradient):
     r"""The gradients of both parts of ``u = p + q``, each of its own order, mirrored about the edges.
 
     It stands for ``min_{p + q = u} R_a(p) + beta R_b(q)`` with the regularisers of `ReflectGradient`, here with
@@ -28,39 +25,15 @@ class InfimalGradient(CosineGradient):
 
     Parameters
     ----------
-    alphas : tuple of float
-        The orders of p and of q.
-    weights : ndarray, shape (2, H, W)
-        Weights of the norms of both parts, finite and at least 0; else an `InputError`.
-    dtype : dtype-like
-        float32 or float64: the precision of all results.
+    alphas, weights, dtype
+        As of `MappedGradient`, for p and q.
     """
-
-    pairs = 2 * ReflectGradient.pairs
-    weight: ClassVar[float] = ReflectGradient.weight
-
-    def __init__(self, alphas: tuple[float, float], weights: Array, dtype: np.dtype | type = np.float64) -> None:
-        if weights.ndim != 3 or len(weights) != 2:
-            size = " x ".join(str(n) for n in weights.shape)
-            raise InputError(f"both parts need a plane of weights each, got an array of {size}")
-        if not (np.isfinite(weights).all() and (weights >= 0.0).all()):
-            raise InputError("weights of parts must be finite and at least 0")
-        shape = (weights.shape[1], weights.shape[2])
-        super().__init__(alphas[0], shape, dtype)
-        self.pixel_weights = weights.astype(self.dtype)
-        self._orders = [ReflectGradient(alpha, shape, dtype) for alpha in alphas]
 
     def apply(self, u: Array) -> Array:
         return np.concatenate([order.apply(part) for order, part in zip(self._orders, u, strict=True)])
 
     def adjoint(self, d: Array) -> Array:
         return np.stack([order.adjoint(part) for order, part in zip(self._orders, np.split(d, 2), strict=True)])
-
-    def to_basis(self, u: Array) -> Array:
-        return scipy.fft.dctn(u, type=2, axes=(-2, -1), norm="ortho", workers=1)
-
-    def from_basis(self, coefficients: Array) -> Array:
-        return scipy.fft.idctn(coefficients, type=2, axes=(-2, -1), norm="ortho", workers=1)
 
     def eigenvalues(self) -> tuple[Float64Array, Float64Array]:
         """Return the eigenvalues of both parts, shapes ``(2, H)`` and ``(2, W)``."""

@@ -30,10 +30,10 @@ class CosineGradient(GradientOperator):
         self._unscaled_y, self._unscaled_x = ((np.ones(n, self.dtype), line_plan(n, self.dtype)) for n in shape)
 
     def to_basis(self, u: Array) -> Array:
-        return scipy.fft.dctn(u, type=2, norm="ortho", workers=1)
+        return scipy.fft.dctn(u, type=2, axes=(-2, -1), norm="ortho", workers=1)
 
     def from_basis(self, coefficients: Array) -> Array:
-        return scipy.fft.idctn(coefficients, type=2, norm="ortho", workers=1)
+        return scipy.fft.idctn(coefficients, type=2, axes=(-2, -1), norm="ortho", workers=1)
 
     def eigenvalues(self) -> tuple[Float64Array, Float64Array]:
         ly, lx = (_sine_symbol(n) ** (2.0 * self.alpha) for n in self.shape)

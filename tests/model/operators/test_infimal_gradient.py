@@ -232,7 +232,7 @@ def test_weights_vary_from_pixel_to_pixel(rng):
 
 @pytest.mark.parametrize(
     ("shape", "value", "says"),
-    [((3, 4, 5), 1.0, "a plane of weights each, got an array of 3 x 4 x 5"), ((4, 5), 1.0, "a plane of weights"),
+    [((3, 4, 5), 1.0, "as many planes of weights, got an array of 3 x 4 x 5"), ((4, 5), 1.0, "array of 4 x 5"),
      ((2, 4, 5), -1.0, "at least 0"), ((2, 4, 5), math.nan, "finite")],
 )  # fmt: skip
 def test_weights_that_are_none(shape, value, says):
