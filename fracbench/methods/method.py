@@ -29,7 +29,7 @@ RESERVED = frozenset({
     "mask", "initial_flow", "confidence",
 })  # fmt: skip
 #: Arguments of `estimate_flow` that a method may take.
-_OPTIONS = frozenset({"mask", "initial_flow"})
+OPTIONS = frozenset({"mask", "initial_flow"})
 _ALL: Any = None
 _NAME = re.compile(r"[A-Za-z]\w{0,79}", re.ASCII)
 
@@ -103,8 +103,8 @@ class Method:
             _check_params(self.params, f"method {self.name!r}: `params`")
         object.__setattr__(self, "uses", frozenset(self.names if self.uses is _ALL else self.uses))
         object.__setattr__(self, "options", frozenset(self.options))
-        for name in self.options - _OPTIONS:
-            raise unknown_name("option", name, _OPTIONS, f"method {self.name!r}")
+        for name in self.options - OPTIONS:
+            raise unknown_name("option", name, OPTIONS, f"method {self.name!r}")
         for name in self.uses.union(self.younger, self.limits).difference(self.names):
             raise unknown_name("parameter", name, self.names, f"method {self.name!r}")
         if self.limits and self.params is not FlowParams:

@@ -13,7 +13,7 @@ from typing import Any
 
 from fracbench.entry_points import Offers
 from fracbench.errors import unknown_name
-from fracbench.methods.method import Method
+from fracbench.methods.method import OPTIONS, Method
 from fracbench.methods.peers import PEERS
 from fracbench.model.params import FlowParams
 
@@ -34,7 +34,6 @@ _PAPERS_ORDERS = (
     "tvl1_sb_alpha is the paper's method, with the paper's orders; tvl1_sb_alpha_map and tvl1_sb_alpha_ic take "
     "orders up to 4"
 )
-_OPTIONS = frozenset({"mask", "initial_flow"})
 _BREGMAN = _PYRAMID | {
     "lambda_sb", "u_solver", "inner", "tol", "max_inner", "coupling", "coupling_step", "relaxation"
 }  # fmt: skip
@@ -100,7 +99,7 @@ def _ours(
         defaults=defaults or {},
         younger={"finest_scale": 0, **(younger or {})},
         limits=limits or {},
-        options=_OPTIONS,
+        options=OPTIONS,
         frame_dtype=None,
     )
 

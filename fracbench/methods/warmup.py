@@ -7,12 +7,11 @@ that take longest and that the first one needs last, which then loads them from 
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Any
+from contextlib import AbstractContextManager, suppress
+from typing import Any
 
 import numpy as np
 from numba import config
@@ -22,10 +21,6 @@ from fracbench.methods.method import Method, fields_of
 from fracbench.model.kernels import pointwise, simd
 from fracbench.model.kernels.jit import cache_folder
 from fracbench.model.params import FlowParams
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
 
 #: Under `zero`, lines of the first scale are long, and those of the second short (`operators.zero.LEAST_SUMMED`).
 SIDE = 72
@@ -52,7 +47,8 @@ def warm_up(
         return
     scales = 2 if params.n_scales is None else min(params.n_scales, 2)
     small = params.replace({"n_scales": scales, "n_warps": 1, "max_iter": 2, "max_inner": 2})
-    helps = not alone and _cores() > 1 and cache_folder() is not None and _leads(method.name, params) is not None
+    cores: int = config.NUMBA_DEFAULT_NUM_THREADS  # type: ignore[attr-defined]
+    helps = not alone and cores > 1 and cache_folder() is not None and _leads(method.name, params) is not None
     helpers: list[subprocess.Popen[bytes]] = []
 
     def begin() -> None:
@@ -111,13 +107,8 @@ def _call_transform(dtype: np.dtype) -> None:
     pointwise.add_and_divide(x, x, np.ones(SIDE), np.ones(SIDE), 0, SIDE)
 
 
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-@contextmanager
-def on_compilation(call: Callable[[], None]) -> Iterator[None]:
-    """Call a function each time that numba begins to compile one."""
+def on_compilation(call: Callable[[], None]) -> AbstractContextManager[object]:
+    """Call a function each time that numba begins to compile one within a ``with`` block."""
 
     class Listener(event.Listener):
         def on_start(self, event: Any) -> None:
@@ -126,12 +117,7 @@ def on_compilation(call: Callable[[], None]) -> Iterator[None]:
         def on_end(self, event: Any) -> None:
             pass
 
-    listener = Listener()
-    event.register("numba:compile", listener)  # type: ignore[no-untyped-call]
-    try:
-        yield
-    finally:
-        event.unregister("numba:compile", listener)  # type: ignore[no-untyped-call]
+    return event.install_listener("numba:compile", Listener())
 
 
 def main(argv: Sequence[str]) -> None:

@@ -77,14 +77,14 @@ def test_a_second_process_helps_once_and_is_ended(monkeypatch):
                 numba.njit(function)(1.0)
 
     monkeypatch.setattr(module.subprocess, "Popen", Helper)
-    monkeypatch.setattr(module, "_cores", lambda: 2)
+    monkeypatch.setattr(config, "NUMBA_DEFAULT_NUM_THREADS", 2)
     loops: list[int] = []
     warm_up(Once(), FlowParams(), lambda: loops.append(1))
     assert len(loops) == 2 and len(started) == 1 and ended == ["killed", "waited for"]
     assert started[0][1:4] == ["-m", "fracbench.methods.warmup", "tvl1_sb"]
     assert FlowParams().replace(json.loads(started[0][4])) == FlowParams()
     warm_up(Once(), FlowParams(), alone=True)
-    monkeypatch.setattr(module, "_cores", lambda: 1)
+    monkeypatch.setattr(config, "NUMBA_DEFAULT_NUM_THREADS", 1)
     warm_up(Once(), FlowParams())
     assert len(started) == 1
 
