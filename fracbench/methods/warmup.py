@@ -59,6 +59,7 @@ def warm_up(
 
     try:
         with on_compilation(begin):
+            # the thresholds of these two vary from pixel to pixel, and are of another type
             if helps and method.name not in ("tvl1_sb_alpha_map", "tvl1_sb_alpha_ic"):
                 _call_steps(np.dtype(params.dtype))
             method.compute(frame0, frame1, small)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
 # -- section 3.2: fractional derivatives ---------------------------------------------------------
 
@@ -420,3 +421,12 @@ def translated_pair(shape, motion, seed=0):
     """Two frames, both evaluated from the formula: frame0(x) = frame1(x + motion)."""
     y, x = np.mgrid[: shape[0], : shape[1]].astype(float)
     return texture(x, y, seed), texture(x - motion[0], y - motion[1], seed)
+
+
+def moving_square():
+    """Two frames, (48, 56): a square that moves by a pixel before a texture that does not."""
+    frame0 = 100.0 + 300.0 * gaussian_filter(np.random.default_rng(3).normal(size=(48, 56)), 2.0)
+    frame1 = frame0.copy()
+    frame0[12:30, 15:40] += 80.0
+    frame1[12:30, 16:41] += 80.0
+    return frame0, frame1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter
+import reference_impl as ref
 
 from fracbench.methods import alpha_map
 from fracbench.methods.alpha_map import flow_with_orders, tvl1_sb_alpha_map
@@ -19,13 +19,7 @@ BY_CLASS = {"alpha_flat": 0.8, "alpha_edge": 1.4, "alpha_corner": 1.6, "alpha_te
 
 @pytest.fixture(scope="module")
 def frames():
-    """A square that moves by a pixel before a texture that does not."""
-    rng = np.random.default_rng(3)
-    frame0 = 100.0 + 300.0 * gaussian_filter(rng.normal(size=(48, 56)), 2.0)
-    frame1 = frame0.copy()
-    frame0[12:30, 15:40] += 80.0
-    frame1[12:30, 16:41] += 80.0
-    return frame0, frame1
+    return ref.moving_square()
 
 
 def mapped(frames, **values):

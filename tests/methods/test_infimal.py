@@ -6,6 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
+import reference_impl as ref
 from scipy.ndimage import gaussian_filter
 
 from fracbench.errors import InputError
@@ -28,13 +29,7 @@ EVERYTHING = {
 
 @pytest.fixture(scope="module")
 def frames():
-    """A square that moves by a pixel before a texture that does not."""
-    rng = np.random.default_rng(3)
-    frame0 = 100.0 + 300.0 * gaussian_filter(rng.normal(size=(48, 56)), 2.0)
-    frame1 = frame0.copy()
-    frame0[12:30, 15:40] += 80.0
-    frame1[12:30, 16:41] += 80.0
-    return frame0, frame1
+    return ref.moving_square()
 
 
 def estimate(frames, **values):
