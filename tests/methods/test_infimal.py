@@ -70,7 +70,9 @@ def test_turning_the_frames_round_turns_the_flow(frames):
     np.testing.assert_allclose(there.parts, -here.parts[..., ::-1, ::-1], atol=1e-6)
 
 
-def test_the_smooth_part_goes_up_the_pyramid(frames, monkeypatch):
+@pytest.mark.parametrize("finest", [0, 1])
+@pytest.mark.parametrize("gain", [None, 0.5])
+def test_the_smooth_part_goes_up_the_pyramid(frames, monkeypatch, finest, gain):
     steps = []
 
     class Recording(InfimalBregman):
@@ -80,14 +82,15 @@ def test_the_smooth_part_goes_up_the_pyramid(frames, monkeypatch):
             steps.append(self)
 
     monkeypatch.setattr(infimal, "InfimalBregman", Recording)
-    result = estimate(frames, median_radius=1)
-    assert [step.start.shape for step in steps] == [(2, 12, 14), (2, 24, 28), (2, 48, 56)]
+    result = estimate(frames, median_radius=1, finest_scale=finest, upsample_gain=gain)
+    assert [step.start.shape for step in steps] == [(2, 12, 14), (2, 24, 28), (2, 48, 56)][: 3 - finest]
     assert not steps[0].start.any()
     for coarse, fine in itertools.pairwise(steps):
         assert np.abs(coarse.smooth).max() > 0.02
-        np.testing.assert_array_equal(fine.start, pyramid.upsample_flow(coarse.smooth, fine.start.shape[1:]))
-    # The median changes p alone.
-    np.testing.assert_array_equal(result.parts[1], steps[-1].smooth.astype(np.float32))
+        np.testing.assert_array_equal(fine.start, pyramid.upsample_flow(coarse.smooth, fine.start.shape[1:], gain))
+    # The median changes p alone. The flow of a scale that is not the last goes up with the true ratio.
+    smooth = pyramid.upsample_flow(steps[-1].smooth, (48, 56)) if finest else steps[-1].smooth
+    np.testing.assert_allclose(result.parts[1], smooth, atol=1e-6)
 
 
 @pytest.mark.parametrize("name", [name for name in EVERYTHING if name != "lambda"])

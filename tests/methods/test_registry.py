@@ -12,6 +12,7 @@ import reference_impl as ref
 from fracbench import estimate_flow
 from fracbench.errors import InputError
 from fracbench.harness.config.paths import checkout
+from fracbench.methods.method import Method
 from fracbench.methods.registry import METHODS, get_method, register
 from fracbench.model.params import FlowParams
 
@@ -110,7 +111,7 @@ def test_a_method_depends_on_what_it_says_it_uses_and_on_nothing_else(frames, me
 
 @pytest.mark.parametrize("values", [{"coupling_step": 1.0}, {"relaxation": 1.2}])
 def test_the_penalty_coupling_ignores_what_belongs_to_the_multiplier(frames, values):
-    for method in ("tvl1_sb", "tvl1_sb_alpha"):
+    for method in ("tvl1_sb", "tvl1_sb_alpha", "tvl1_sb_alpha_map", "tvl1_sb_alpha_ic"):
         plain = flow(method, frames, coupling="penalty", inner="warm")
         np.testing.assert_array_equal(flow(method, frames, coupling="penalty", inner="warm", **values), plain)
 
@@ -151,6 +152,16 @@ def test_the_recipe_of_a_method_works(monkeypatch):
     result = estimate_flow(np.zeros((9, 9)), np.ones((9, 9)), method="right", pixels="2")
     assert (result.method, result.params) == ("right", module.Params(2.0))
     assert (result.flow[0] == 2).all() and not result.flow[1].any()
+
+
+def test_a_method_may_overwrite_the_frames_that_it_gets():
+    def estimate(frame0, frame1, params):
+        frame0[...] = frame1[...] = 0.0
+        return np.zeros((2, *frame0.shape))
+
+    frames = np.ones((2, 8, 8), np.float32)
+    Method("careless", "label", "summary", estimate).compute(*frames, FlowParams())
+    assert frames.all()
 
 
 # -- orders above 2 ------------------------------------------------------------------------------

@@ -93,6 +93,17 @@ def test_each_frame_may_have_a_mask_of_its_own(frame):
     )
 
 
+@pytest.mark.parametrize("frame", [0, 1])
+def test_a_pixel_hidden_in_one_frame_does_not_count_where_it_is_seen(frame):
+    """A block of frame 1 hides the pixels of frame 0 that the flow, of 9 and -7 pixels, leads into it."""
+    frames, masks = np.stack(ref.translated_pair(SHAPE, (9.0, -7.0))), np.zeros((2, *SHAPE), bool)
+    masks[frame] = block()
+    start = np.reshape([9.0, -7.0], (2, 1, 1)) * np.ones((2, *SHAPE), np.float32)
+    flow = run(frames, method="tvl1_sb_alpha", mask=masks, initial_flow=start, n_scales=1).flow
+    hidden = np.roll(block(), (7, -9), (0, 1)) if frame else block()
+    assert np.hypot(*(flow - start))[hidden].max() < 0.1
+
+
 def test_a_mask_without_a_pixel_changes_nothing():
     frames = ref.translated_pair(SHAPE, MOTION)
     empty = np.zeros(SHAPE, bool)
@@ -207,3 +218,10 @@ def test_shares_follow_the_pyramid():
         np.testing.assert_allclose(a + b, 1.0, atol=0.1)  # each is clipped to 0..1
         assert a.min() >= 0.0 and a.max() <= 1.0
     assert first[1][0, 0] == 1.0 and first[1][9, 13] < 1e-4
+
+
+def test_shares_stay_in_their_range_where_the_pyramid_overshoots():
+    mask = np.random.default_rng(0).uniform(size=SHAPE) < 0.5
+    shapes = pyramid.scale_shapes(SHAPE, 0.95, 4)
+    (first, _) = valid_shares(mask, shapes, 0.95, np.dtype("float64"))
+    assert min(share.min() for share in first) == 0.0 and max(share.max() for share in first) == 1.0
