@@ -1,4 +1,4 @@
 """The methods by name: the paper's, those beyond it, and the peers they are compared with.
 
-Imports `fracbench.model` and `fracbench.errors`.
+Imports `fracbench.model`, `fracbench.entry_points` and `fracbench.errors`.
 """

@@ -157,7 +157,7 @@ register(
         "TV-L1-SB-alpha, infimal",
         "flow in two parts of different orders, the infimal convolution: the flow chooses its order by itself",
         "infimal",
-        # of some it allows one value, and refuses others
+        # boundary, u_solver and inner have one value that it allows
         (_BREGMAN | _BEYOND | _INFIMAL | {"alpha", "boundary"})
         - {"alpha_flat", "alpha_edge", "alpha_corner", "alpha_texture", "tol", "max_inner"},
         defaults={"alpha": 1.0, "n_warps": 5, "max_iter": 10},

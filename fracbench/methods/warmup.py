@@ -1,7 +1,7 @@
 """Compile all that a method calls before anything is timed, in two processes where nothing is cached yet.
 
 As a script, ``python -m fracbench.methods.warmup METHOD PARAMS``, it is the second of them: it compiles the loops
-that take longest and that the first one needs last, which then loads them from numba's cache.
+that take longest and are needed last. The first process then loads them from numba's cache.
 """
 
 from __future__ import annotations
