@@ -77,7 +77,7 @@ def show_status(words: Sequence[str], *, as_json: bool) -> None:
         standings = [standing(name, settings, store) for name in names or known]
         counts = store.counts()
     if as_json:
-        found = {"store": str(path), "rows": counts, "experiments": [one.as_dict() for one in standings]}
+        found = {"store": str(path), "rows": counts, "experiments": [vars(one) for one in standings]}
         console.say(json.dumps(found, indent=2))
         return
     import pandas as pd
@@ -85,7 +85,7 @@ def show_status(words: Sequence[str], *, as_json: bool) -> None:
     rows = ", ".join(f"{count} {status}" for status, count in counts.items() if count) or "no rows"
     console.say(f"store {path}: {rows}")
     columns = ["experiment", "dataset", "points", "done", "failed", "stale", "missing"]
-    console.show_table(pd.DataFrame([one.as_dict() for one in standings])[columns])
+    console.show_table(pd.DataFrame([vars(one) for one in standings])[columns])
     for one in standings:
         if one.error:
             console.say(f"{one.experiment}: cannot be planned: {one.error}")

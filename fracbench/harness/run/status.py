@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import dataclass, field
 
 from fracbench.errors import InputError
 from fracbench.harness.config.experiment import load_experiment
@@ -34,10 +33,6 @@ class Standing:
     why: dict[str, int] = field(default_factory=dict)
     command: str = ""
     error: str = ""
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the fields by name."""
-        return asdict(self)
 
 
 def standing(name: str, settings: Sequence[str], store: Store) -> Standing:

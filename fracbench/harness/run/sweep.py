@@ -98,17 +98,14 @@ def run(
     *,
     jobs: int,
     rerun_failed: bool = False,
-    on_start: Callable[[Report, int], None] | None = None,
     on_row: OnRow | None = None,
 ) -> Report:
     """Compute the points that the store lacks; each row is stored as soon as its point is done.
 
     The plan's configuration says where it runs and how long a point may take; `jobs` are processes on this
-    machine. `on_start` is called with the report and the number of points to compute, `on_row` with each new row.
+    machine. `on_row` is called with each new row.
     """
     report, todo = missing(plan, store, rerun_failed=rerun_failed)
-    if on_start is not None:
-        on_start(report, len(todo))
     if not todo:
         return report
     with (
