@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from fracbench.commands import console
 from fracbench.commands.run import run_plan, say_cost, say_failures
-from fracbench.errors import InputError, unknown_name
+from fracbench.errors import InputError
 from fracbench.harness.config.experiment import Experiment, list_experiments, load_experiment
 from fracbench.harness.run.plan import Plan, plan_artefact, plan_experiment
 from fracbench.harness.run.store import STORE, Store
@@ -51,15 +51,13 @@ def report(
     if start.dataset == "synthetic":  # decided once: where there is no network, each look for data costs seconds
         settings = [*(token for token in settings if not token.startswith("dataset=")), "dataset=synthetic"]
     wanted = only or (EXPERIMENTS if beyond else PAPER)
-    for name in only:
-        if name not in (known := list_experiments()):
-            raise unknown_name("experiment", name, known)
     if start.foreign and not only:
         raise InputError(
             f"report: most of the paper is about regions, which dataset={start.dataset} does not have; name the "
             "experiments to run, e.g. --only table2"
         )
-    experiments = {name: load_experiment(name) for name in wanted if name in list_experiments()}
+    known = list_experiments()
+    experiments = {name: load_experiment(name) for name in wanted if only or name in known}
     plans = {
         name: plan_artefact(experiment, settings, allow_download=not dry_run, small=small)
         for name, experiment in experiments.items()
