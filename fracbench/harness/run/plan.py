@@ -227,11 +227,7 @@ def _expand_pairs(grid: Grid, pairs: _Pairs) -> Grid:
 
 
 def _named(pattern: str, pairs: _Pairs) -> list[str]:
-    if pattern in pairs.names:
-        return [pattern]
-    if pattern == "all":
-        return list(pairs.names)
-    if any(c in pattern for c in "*?["):
+    if pattern in (*pairs.names, "all") or any(c in pattern for c in "*?["):
         return expand_names([pattern], pairs.names, "sequence")
     if canonical_number(pattern) == pattern:  # a grid writes the number 0010 as 10, and a pair may be called 0010
         numbered = [name for name in pairs.names if canonical_number(name) == pattern]
