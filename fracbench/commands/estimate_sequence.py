@@ -10,12 +10,16 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from fracbench.commands import console
+from fracbench.commands.warmup import compile_for
 from fracbench.data import clip as files
 from fracbench.data.manifest import Entry, Manifest, add_entry, file_digest
 from fracbench.errors import FracbenchError, InputError
+
+if TYPE_CHECKING:
+    from fracbench.methods.method import Method
 
 SHEET, VIDEO, FRAMES = "contact_sheet.png", "flow.mp4", "frames"
 #: Full colour is for a speed that this share of the pixels keeps below, in this share of the flows: some wild
@@ -35,12 +39,13 @@ class Frame(NamedTuple):
 
 
 class Settings(NamedTuple):
-    """Arguments of `estimate_flow`, the digest of all that they stand for, their name; if the method is ours."""
+    """Arguments of `estimate_flow`, the method and parameters that they stand for, the digest of both, a name."""
 
     given: dict[str, Any]
+    method: Method
+    params: Any
     digest: str
     name: str
-    ours: bool
 
 
 class Outcome(NamedTuple):
@@ -101,7 +106,7 @@ def _settings(overrides: Sequence[str], method: str | None) -> Settings:
     given, chosen, params, name = read_settings("estimate-sequence", overrides, method)
     known = json.dumps([SOLVER_VERSION, chosen.name, chosen.stamp, chosen.values(params)])
     digest = hashlib.sha256(known.encode()).hexdigest()
-    return Settings(given, digest, name, not (chosen.package or chosen.requires))
+    return Settings(given, chosen, params, digest, name)
 
 
 def _require_apart(words: Sequence[str], paths: Sequence[Path], manifest: Manifest) -> None:
@@ -182,10 +187,9 @@ def _look(paths: Sequence[Path], jobs: int) -> list[Frame]:
     frames: list[Frame] = list(_in_processes(_read, calls, jobs, "frames"))
     shapes = Counter(frame.shape for frame in frames if not frame.error)
     for i, frame in enumerate(frames):
-        if not frame.error and frame.shape != (common := shapes.most_common(1)[0][0]):
-            (height, width), (most_height, most_width) = frame.shape, common
-            found, usual = f"{width} x {height}", f"{most_width} x {most_height}"
-            error = f"{paths[i]}: {found} pixels (width x height), but most frames have {usual}"
+        if not frame.error and frame.shape != (usual := shapes.most_common(1)[0][0]):
+            found, most = (f"{width} x {height}" for height, width in (frame.shape, usual))
+            error = f"{paths[i]}: {found} pixels (width x height), but most frames have {most}"
             frames[i] = frame._replace(error=error)
     return frames
 
@@ -203,14 +207,15 @@ def _compute(
     made_from = {a.path.stem: {"frames": [a.digest, b.digest], "settings": settings.digest} for a, b in pairs}
     why = {name: manifest.why(f"{name}.flo", made, "speed") for name, made in made_from.items()}
     calls = [
-        (a.path, b.path, folder / f"{a.path.stem}.flo", settings, made_from[a.path.stem])
+        (a.path, b.path, folder / f"{a.path.stem}.flo", settings.given, made_from[a.path.stem])
         for a, b in pairs
         if why[a.path.stem]
     ]
-    if calls and settings.ours:  # others may need more than a blank frame
+    if calls and not (settings.method.package or settings.method.requires):  # these may need more than a blank
         import numpy as np
 
-        # Refuses settings and sizes that no flow can have, and compiles before there are processes.
+        compile_for([(settings.method.name, settings.params)], errors=False)
+        # Refuses settings and sizes that no flow can have.
         blank = np.zeros([min(n, _TRIAL) for n in pairs[0][0].shape])
         estimate_flow(blank, blank, **settings.given)
     manifest.begin()
@@ -309,7 +314,9 @@ def _read(path: Path, shown: str) -> Frame:
     return Frame(path, hashlib.sha256(data).hexdigest(), shape)
 
 
-def _estimate(frame0: Path, frame1: Path, output: Path, settings: Settings, made_from: dict[str, Any]) -> Outcome:
+def _estimate(
+    frame0: Path, frame1: Path, output: Path, given: dict[str, Any], made_from: dict[str, Any]
+) -> Outcome:
     import numpy as np
 
     from fracbench.api import estimate_flow
@@ -317,7 +324,7 @@ def _estimate(frame0: Path, frame1: Path, output: Path, settings: Settings, made
     from fracbench.entry_points import described
 
     try:
-        result = estimate_flow(read_image(frame0), read_image(frame1), **settings.given)
+        result = estimate_flow(read_image(frame0), read_image(frame1), **given)
     except Exception as exc:  # a peer may raise anything, and the other flows go on
         return Outcome(None, str(exc) if isinstance(exc, FracbenchError) else described(exc))
     if result.stop_reason == "diverged":

@@ -153,6 +153,23 @@ def test_another_setting_computes_all_again_another_scale_only_draws(cli, clip, 
     assert computed == NAMES and "(4 settings changed)" in done.out
 
 
+def test_another_version_of_the_solver_or_of_the_method_computes_all_again(cli, clip, computed, monkeypatch):
+    cli("estimate-sequence", "clip", "-o", "out", *QUICK)
+    for place, value in (("model.SOLVER_VERSION", 99), ("methods.method.Method.stamp", "package 2")):
+        del computed[:]
+        monkeypatch.setattr(f"fracbench.{place}", value)
+        done = cli("estimate-sequence", "clip", "-o", "out", *QUICK)
+        assert computed == NAMES and "(4 settings changed)" in done.out
+
+
+def test_the_solver_is_compiled_before_there_are_processes(cli, clip, computed, monkeypatch):
+    monkeypatch.setattr(
+        command, "compile_for", lambda settings, **_: computed.extend(name for name, _ in settings)
+    )
+    cli("estimate-sequence", "clip", "-o", "out", "--method", "tvl1", *QUICK)
+    assert computed == ["tvl1", *NAMES]
+
+
 def test_a_number_that_is_gone_from_the_manifest_is_no_crash(cli, clip, computed):
     cli("estimate-sequence", "clip", "-o", "out", *QUICK)
     lines = [json.loads(line) for line in Path("out", MANIFEST).read_text().splitlines()]
