@@ -399,6 +399,9 @@ def test_numbers_as_names_of_pairs(folder):
     assert [planned.labels["sequence"] for planned in made.points] == ["0010"]
     with pytest.raises(InputError, match=r"unknown sequence 'c' of dataset folder \(2 pairs, from 0010 to b\)"):
         make_plan(["dataset=folder", f"paths.data={folder}", "sequence=c"])
+    (folder / "b").rename(folder / "010")
+    with pytest.raises(InputError, match="unknown sequence '10' of dataset folder"):  # which of the two?
+        make_plan(["dataset=folder", f"paths.data={folder}", "sequence=10"])
 
 
 def test_parameters_are_the_protocols(folder):
