@@ -79,16 +79,18 @@ def test_a_folder_becomes_flows_pictures_and_a_contact_sheet(cli, clip):
     assert read_image("out/flows/contact_sheet.png").shape[1] == 1280
 
 
-def test_processes_globs_and_lists_give_the_same_files(cli, clip):
+def test_processes_globs_and_lists_give_the_same_files(cli, clip, monkeypatch):
     assert cli("estimate-sequence", "clip", "-o", "one", *QUICK).code == EXIT_DONE
     two = ("n_scales=1", "n_warps=1", "max_iter=2", "--jobs", "2")
     assert cli("estimate-sequence", "clip/f*.png", "-o", "two", *two).code == EXIT_DONE
     listed = sorted(map(str, Path("clip").iterdir()))
     assert listed[0].endswith("f10.png")
     assert cli("estimate-sequence", *listed, "n_scales=1", "-o", "three", *QUICK[1:]).code == EXIT_DONE
+    monkeypatch.chdir("clip")  # the processes were started in the folder above
+    assert cli("estimate-sequence", "../clip", "-o", "../four", *two).code == EXIT_DONE
     kept = files(clip / "one")
     del kept[MANIFEST]
-    for folder in ("two", "three"):
+    for folder in ("two", "three", "four"):
         found = files(clip / folder)
         del found[MANIFEST]
         assert found == kept

@@ -73,6 +73,14 @@ def test_the_masks_of_the_frames_change_places_on_the_way_back():
     np.testing.assert_array_equal(found.backward, back.flow)
 
 
+def test_the_way_back_does_not_start_from_the_flow_on_the_way_there():
+    frames, start = ref.translated_pair((40, 48), (1.6, -1.2)), np.full((2, 40, 48), 3.0)
+    found = estimate_flow(*frames, initial_flow=start, confidence=True, n_scales=1, **QUICK)
+    np.testing.assert_array_equal(
+        found.confidence.backward, estimate_flow(*frames[::-1], n_scales=1, **QUICK).flow
+    )
+
+
 def test_a_square_that_moves_over_the_background_is_distrusted_where_it_hides_it():
     y, x = np.mgrid[:48, :64].astype(float)
     background, square = ref.texture(x, y, 1), ref.texture(x, y, 2)
