@@ -15,11 +15,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-#: The scripts of a checkout that took over from `bench --study`.
-STUDIES = {"size": "growth", "jobs": "jobs", "roofline": "roofline"}
-
-
-def bench(study: str | None, tokens: Sequence[str], *, repeats: int, threads: int, only: Sequence[str]) -> bool:
+def bench(tokens: Sequence[str], *, repeats: int, threads: int, only: Sequence[str]) -> bool:
     """Time the contenders, print the table, write CSV and picture; say whether no contender failed.
 
     `tokens` choose sequences, data set and paths; `threads` are those of the solver and of OpenCV.
@@ -27,10 +23,6 @@ def bench(study: str | None, tokens: Sequence[str], *, repeats: int, threads: in
     from fracbench.figures.style import save_figure
     from fracbench.studies.race import figures, measure
 
-    if study is not None:
-        raise InputError(
-            f"bench: the study {study!r} has moved: python benchmarks/{STUDIES[study]}.py, in a checkout"
-        )
     if repeats < 1 or threads < 1:
         raise InputError(f"bench: --repeats and --threads must be at least 1, got {repeats} and {threads}")
     tokens = tokens or ["sequence=all"]

@@ -55,11 +55,8 @@ def update_references(names: Sequence[str], reason: str, *, jobs: int) -> None:
             console.say(f"wrote {path}")
 
 
-def show_status(words: Sequence[str], *, as_json: bool) -> None:
-    """Print the progress of experiments and the commands that resume them.
-
-    `words` are names of experiments, all if there are none, and overrides of data set and paths.
-    """
+def show_status(names: Sequence[str], settings: Sequence[str], *, as_json: bool) -> None:
+    """Print the progress of experiments, all without `names`, and the commands that resume them."""
     import json
 
     from fracbench.harness.config.experiment import list_experiments
@@ -67,8 +64,7 @@ def show_status(words: Sequence[str], *, as_json: bool) -> None:
     from fracbench.harness.run.status import standing
     from fracbench.harness.run.store import Store
 
-    settings = [word for word in words if "=" in word]
-    names, known = [word for word in words if "=" not in word], list_experiments()
+    known = list_experiments()
     for name in names:
         if name not in known:
             raise unknown_name("experiment", name, known)

@@ -38,3 +38,12 @@ class Parser(argparse.ArgumentParser):
                 raise InputError(f"unexpected argument {word!r}{hint}")
             arguments.overrides.append(word)
         return arguments
+
+
+class Moved(argparse.Action):
+    """An option that is gone; its `const` names the script of a checkout in its place, by the option's value."""
+
+    def __call__(self, parser: argparse.ArgumentParser, _: Any, value: Any, option: str | None = None) -> NoReturn:
+        """Raise `InputError` that names the script."""
+        words = f"{parser.prog.split()[-1]}: {option} {value or ''}".rstrip()
+        raise InputError(f"{words} has moved: python {self.const[value or '']}, in a checkout")
