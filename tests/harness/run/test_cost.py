@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from fracbench.data.regions import Region
@@ -59,6 +61,12 @@ def test_time_goes_with_the_pixels():
     rows = [a_row(480 * 640 / 1000, dataset="middlebury", sequence="Grove2")]
     seconds = [expected_seconds([point], rows, 1)[0] for point in (grove, venus, region, around)]
     assert seconds == pytest.approx([307.2, 380 * 420 / 1000, 160 * 200 / 1000, 200 * 240 / 1000])
+
+
+def test_rows_of_a_dataset_that_is_gone_tell_the_speed():
+    row = a_row(2.0)
+    gone = replace(row, spec={**row.spec, "dataset": "gone"}, result={"n_pixels": SCENE - 5, "n_unknown": 5})
+    assert expected_seconds([a_point()], [gone], 1) == (pytest.approx(2.0), True)
 
 
 def test_a_point_is_not_shared_between_workers():

@@ -35,7 +35,7 @@ def write(folder, name, tokens):
     (folder / "experiments" / f"{name}.yaml").write_text(f"grid: {json.dumps(list(tokens))}\n")
 
 
-def fill(folder, fake_rows, *, done=0, failed=0, **changes):
+def fill(folder, fake_rows, *, done=0, failed=0):
     planned = plan_experiment({"main": POINTS}, SETTINGS)
     rows = [*fake_rows(planned).values()]
     bad = [*fake_rows(planned, status="timeout").values()]

@@ -472,7 +472,7 @@ def test_a_claim_holds_where_there_are_no_locks(store, monkeypatch):
             claims.release("cd" * 32)
 
 
-def test_the_largest_points_go_first(store, monkeypatch):
+def test_measures_go_first_and_then_the_largest_points(store, monkeypatch):
     replace_point(monkeypatch, lambda point, finish: finish())
     made = plan("alpha=0,1,2")
     regions = [Region("small", "edge", (0, 20), (0, 20)), None, Region("large", "edge", (0, 100), (0, 100))]
@@ -480,9 +480,11 @@ def test_the_largest_points_go_first(store, monkeypatch):
         replace(planned, point=replace(planned.point, region=region))
         for planned, region in zip(made.points, regions, strict=True)
     ]
+    points.append(replace(points[0], point=replace(points[0].point, score="spectrum")))
     seen = []
     sweep.run(replace(made, points=tuple(points)), store, jobs=1, on_row=seen.append)
-    assert [row.spec["box"] for row in seen] == [None, [0, 100, 0, 100], [0, 20, 0, 20]]
+    assert [row.spec["box"] for row in seen] == [[0, 20, 0, 20], None, [0, 100, 0, 100], [0, 20, 0, 20]]
+    assert ["score" in row.spec for row in seen] == [True, False, False, False]
 
 
 # -- what stops a sweep ----------------------------------------------------------------------------
