@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from fracbench.harness.config.experiment import Experiment
 
 EXIT_DONE, EXIT_CHECK, EXIT_INPUT, EXIT_FAILED = 0, 1, 2, 3
-EXIT_INTERRUPTED = 130  # what a shell reports for SIGINT
+EXIT_INTERRUPTED = 130  # as a shell reports SIGINT
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -34,7 +34,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         console.complain(f"interrupted; {RESUME}")
         return EXIT_INTERRUPTED
     except BrokenPipeError:
-        # Whoever read our output has gone, e.g. `| head`: not an error, but nothing more can be printed.
+        # The reader of our output has gone, e.g. `| head`: no error, but nothing more can be printed.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_DONE
 
@@ -57,7 +57,7 @@ def _sweep(arguments: argparse.Namespace) -> int:
 
     tokens = tuple(arguments.overrides)
     if not tokens:
-        raise InputError("sweep: what is to be swept? e.g. fracbench sweep alpha=0:2:0.1 region=grove2_A")
+        raise InputError("sweep: name the keys to sweep, e.g. fracbench sweep alpha=0:2:0.1 region=grove2_A")
     return _run_experiment(Experiment(_slug(tokens), " ".join(tokens), "sweep", {MAIN: tokens}), (), arguments)
 
 
@@ -65,7 +65,7 @@ def _slug(tokens: Sequence[str]) -> str:
     """Return a file name for a sweep, distinct for distinct overrides."""
     tokens = [token for token in tokens if not token.startswith("parallel")]  # where it runs changes no result
     text = "__".join(re.sub(r"[^\w.=,+-]+", "_", token) for token in tokens if not token.startswith("paths."))
-    # Characters are folded and names cut: a digest keeps apart what would fall together.
+    # Characters are replaced and names cut: a digest tells sweeps of the same name apart.
     digest = hashlib.sha256("\0".join(tokens).encode()).hexdigest()[:8]
     return f"{text[:80]}__{digest}"
 

@@ -49,7 +49,7 @@ def _show_middlebury(folder: str | None, *, download: bool) -> bool:
 
 
 def _show_others() -> None:
-    """Say in one line of each dataset what it is and, if it has files, where they are or how to provide them."""
+    """Print a line for each dataset: its summary or, if it has files, their folder or a way to provide them."""
     from fracbench.data.datasets.registry import all_datasets, find_folder
 
     datasets, unusable = all_datasets()

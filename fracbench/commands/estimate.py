@@ -44,7 +44,7 @@ def estimate_pair(
     from fracbench.data.gray import to_gray
     from fracbench.model.coarse_to_fine import check_frames
 
-    # which refuses what is wrong before anything is read
+    # It refuses wrong settings before a file is read.
     given, chosen, settings, name = read_settings("estimate", overrides, method)
     picture = color or picture_beside(output)
     inputs = [path for path in (frame0, frame1, truth, mask, initial_flow) if path is not None]

@@ -200,7 +200,7 @@ def _look(paths: Sequence[Path], jobs: int) -> list[Frame]:
 def _compute(
     pairs: Sequence[tuple[Frame, Frame]], settings: Settings, manifest: Manifest, jobs: int, errors: Sequence[str]
 ) -> list[str]:
-    """Compute the flows that are missing, print what happened, and return the names of all that are there."""
+    """Compute the flows that are missing, print their number and the failures, and return all names."""
     from fracbench.api import estimate_flow
 
     folder = manifest.folder.absolute()

@@ -1,4 +1,4 @@
 """The experiment harness: configuration, plan, execution, store, regression check.
 
-Imports `fracbench.data`, `fracbench.methods`, `fracbench.evaluation` and what these may import.
+Imports `fracbench.data`, `fracbench.methods`, `fracbench.evaluation` and the rooms that these may import.
 """

@@ -436,7 +436,7 @@ def test_a_results_folder_under_a_file(work, refused, command):
         (["compare", "nothing", "HEAD"], "'nothing' is neither a store nor a commit"),
         (["compare", "nothing"], "the following arguments are required: second"),
         (["compare", "--", "--all", "HEAD"], "'--all' is neither a store nor a commit"),
-        (["sweep"], "sweep: what is to be swept?"),
+        (["sweep"], "sweep: name the keys to sweep, e.g. fracbench sweep alpha="),
         (["bench", "--repeats", "0"], "--repeats and --threads must be at least 1"),
         (["run", "alpha=1,2", *FLAT], "run takes one point, not a grid"),
         (["run", "sequence=synthetic_*"], "run takes one point, sequence=synthetic_* stands for 16"),

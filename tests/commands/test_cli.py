@@ -118,7 +118,7 @@ def test_a_reader_that_has_gone_is_no_error(work, arguments):
     [
         ([], "the following arguments are required: COMMAND"),
         (["swep"], "unknown command 'swep': did you mean 'sweep'? (allowed: sweep, table, "),
-        (["sweep"], "sweep: what is to be swept?"),
+        (["sweep"], "sweep: name the keys to sweep, e.g. fracbench sweep alpha="),
         (["sweep", "alpha=1", "--jbos", "2"], "unexpected argument '--jbos': did you mean --jobs?"),
         (["sweep", "alpha=1", "--jobs"], "argument --jobs: expected one argument"),
         (["sweep", "alpha=1", "--jobs", "two"], "argument --jobs: invalid int value: 'two'"),

@@ -209,7 +209,7 @@ def write(spreads: Mapping[str, pd.DataFrame], origin: Mapping[str, Any]) -> lis
     try:
         tolerances = derive(dict(sorted({**old, **spreads}.items())), typed)
     except ValueError as exc:
-        raise InputError(f"{path}: no tolerance follows from what was measured: {exc}") from exc
+        raise InputError(f"{path}: no tolerance follows from the measured spreads: {exc}") from exc
     folder = path.parent / "spread"
     folder.mkdir(exist_ok=True)
     contents = {

@@ -137,9 +137,7 @@ class RunConfig:
             if name != "margin" and name not in get_dataset(self.sequence.dataset).settings:
                 kind = "dataset=particles" if name in SCENE else "a rendered scene"
                 raise InputError(f"{name}={value:g} needs {kind}, sequence={self.sequence.key} is none")
-        if self.margin is None:
-            return
-        if self.region is not None:
+        if self.margin is not None and self.region is not None:
             raise InputError(f"margin={self.margin} is of whole frames; a region takes context")
 
     def override(self, values: Mapping[str, str]) -> RunConfig:
@@ -170,10 +168,6 @@ def _whole(key: str, value: Any) -> int:
         raise InputError(f"`{key}` must be a whole number, got {value!r}") from None
 
 
-def _whole_or_none(key: str, raw: Mapping[str, Any]) -> int | None:
-    return None if raw[key] is None else _whole(key, raw[key])
-
-
 def _number(key: str, value: Any, what: str = "a number") -> float:
     try:
         return float(value)
@@ -201,7 +195,7 @@ def own_files() -> working_folder.Files:
 
 def protocol_settings(name: str) -> tuple[str, dict[str, Any]]:
     """Return the method's name and the parameters of a protocol, without those of any sequence."""
-    config = load_config({"protocol": name})  # which refuses a file that is none
+    config = load_config({"protocol": name})  # it refuses a file that is no protocol
     return config.method.name, _composed({"protocol": name, "sequence": "none"})["params"]
 
 
@@ -292,6 +286,8 @@ def _typed(raw: Mapping[str, Any], choices: Mapping[str, str], pair: SequenceCon
     for group, name in (("protocol", protocol), ("region", region.name if region else "none")):
         if name != choices.get(group, name):
             raise InputError(f"{where}: the file {choices[group]}.yaml must give the same name, not {name!r}")
+    optional = [key for key in ("shift", "margin", "seed") if raw[key] is not None]
+    whole: dict[str, Any] = {key: _whole(key, raw[key]) for key in optional}
     return RunConfig(
         method=method,
         protocol=protocol,
@@ -303,11 +299,9 @@ def _typed(raw: Mapping[str, Any], choices: Mapping[str, str], pair: SequenceCon
         context=_whole("context", raw["context"]),
         score=require_name(raw["score"], "`score`", where),
         noise=None if raw["noise"] is None else _number("noise", raw["noise"]),
-        shift=_whole_or_none("shift", raw),
-        margin=_whole_or_none("margin", raw),
-        seed=_whole_or_none("seed", raw),
         data=paths.data,
         results=Path(paths.results),
+        **whole,
     )
 
 

@@ -39,7 +39,7 @@ def canonical_number(text: str) -> str | None:
         return None
     try:
         number = Decimal(text)
-    except InvalidOperation:  # an exponent beyond what decimal can hold
+    except InvalidOperation:  # an exponent beyond the range of decimal
         return None
     value = float(text)
     if math.isinf(value) or (value == 0) != (not number) or len(number.as_tuple().digits) > _MAX_DIGITS:

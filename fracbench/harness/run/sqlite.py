@@ -46,7 +46,7 @@ _CREATE = (
     f"PRAGMA user_version = {SCHEMA_VERSION}",
 )
 
-DAMAGED = "is damaged; move it away (`sqlite3 FILE .recover` saves what can be read)"
+DAMAGED = "is damaged; move it away (`sqlite3 FILE .recover` saves the rows that can be read)"
 _REMEDIES = {
     sqlite3.SQLITE_NOTADB: "is not a fracbench store; name another file or move this one away",
     sqlite3.SQLITE_CORRUPT: DAMAGED,

@@ -207,7 +207,7 @@ def test_a_spread_of_other_numerics_is_outdated(reference):
 
 def test_nothing_is_written_of_a_spread_that_is_not_finite(reference):
     (reference / "tolerances.toml").write_text(TOML)
-    assert "no tolerance follows from what was measured" in refusal(
+    assert "no tolerance follows from the measured spreads" in refusal(
         lambda: write({"t": spreads([float("inf")])}, ORIGIN)
     )
     assert [path.name for path in reference.iterdir()] == ["tolerances.toml"]
