@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 from fracbench.commands.cli import main
+from fracbench.data.files import write_image
 from fracbench.errors import InputError
 from fracbench.harness.config.paths import checkout
 from fracbench.harness.run.plan import make_plan
@@ -90,6 +91,15 @@ def test_the_command_writes_table_and_picture(tmp_path, capsys):
     table = pd.read_csv(tmp_path / "runs" / "bench" / "bench_1_threads_some.csv")
     assert len(table) == 10 and (table["seconds"] > 0).all()
     assert (tmp_path / "runs" / "bench" / "bench_1_threads_some.png").stat().st_size > 1000
+
+
+def test_pairs_of_ones_own_have_a_file_of_their_own(tmp_path):
+    (tmp_path / "pairs/a").mkdir(parents=True)
+    for i in range(2):
+        write_image(tmp_path / f"pairs/a/frame{i}.png", np.eye(16, dtype=np.uint8) * 80)
+    words = ["dataset=folder", f"paths.data={tmp_path / 'pairs'}", f"paths.results={tmp_path}"]
+    assert main(["bench", *words, "--repeats", "1", "--only", "tvl1_sb_alpha_ic"]) == 0
+    assert (tmp_path / "runs/bench/bench_1_threads_some_folder.csv").is_file()
 
 
 @pytest.mark.parametrize("option", ["--repeats", "--threads"])

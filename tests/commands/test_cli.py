@@ -176,6 +176,8 @@ def test_different_sweeps_have_different_files(cli, work, tiny):
     one = cli("sweep", NAMES_ONLY, "lambda=0.5", *tiny).out
     two = cli("sweep", NAMES_ONLY, "lambda=0.25", *tiny).out
     assert re.findall("wrote .*", one) != re.findall("wrote .*", two)
+    again = cli("sweep", NAMES_ONLY, "lambda=0.5", "parallel.jobs=1", *tiny).out
+    assert re.findall("wrote .*", again) == re.findall("wrote .*", one)
     assert len([name for name in tree(work) if name.endswith(".csv")]) == 2
 
 
@@ -594,7 +596,7 @@ def test_the_module_runs_and_leaves_with_the_exit_code(work, tiny):
 
 
 def test_a_sweep_compiles_before_its_workers_start(work, monkeypatch):
-    """In this process, for all points that are missing."""
+    """In this process, for all points that are missing, unless they are computed on other machines."""
     from fracbench.commands import run
 
     order: list[Any] = []
@@ -603,3 +605,6 @@ def test_a_sweep_compiles_before_its_workers_start(work, monkeypatch):
     plan = run.make_plan(["method=tvl1,tvl1_sb", "sequence=synthetic_flat"])
     run.run_plan(plan, "test", 2)
     assert order == [["tvl1", "tvl1_sb"], "workers"]
+    there = ["parallel=dask", "parallel.address=tcp://elsewhere:1"]
+    run.run_plan(run.make_plan(["method=tvl1", "sequence=synthetic_flat", *there]), "test", 2)
+    assert order[2:] == ["workers"]

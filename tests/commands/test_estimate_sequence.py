@@ -106,6 +106,14 @@ def test_a_protocol_and_a_method_may_be_chosen(cli, clip):
     np.testing.assert_array_equal(read_flow("out/f8.flo"), expected.flow)
 
 
+def test_a_clip_without_motion_is_drawn_too(cli, clip):
+    for i in range(8, 13):
+        write_image(clip / f"clip/f{i}.png", frame(8))
+    done = cli("estimate-sequence", "clip", "-o", "out", *QUICK)
+    assert done.code == EXIT_DONE and "colours: full at 1 px a frame" in done.out
+    assert (read_image("out/f8.png") == 255).all()
+
+
 # -- resuming ------------------------------------------------------------------------------------
 
 
