@@ -21,7 +21,7 @@ from fracbench.errors import InputError, unknown_name
 from fracbench.harness.config import working_folder
 from fracbench.harness.config.composition_cache import cached_composition
 from fracbench.harness.config.paths import asset
-from fracbench.harness.config.records import mapping, record, refuse_code, require_name
+from fracbench.harness.config.records import mapping, read_plain, record, refuse_code, require_name
 from fracbench.methods.method import Method
 from fracbench.methods.registry import DEFAULT_METHOD, get_method, method_names
 from fracbench.model.params import FlowParams
@@ -258,10 +258,8 @@ def _by_hydra(folder: Path, overrides: list[str], own: working_folder.Files) -> 
 
 
 def _default_sequence() -> str:
-    from omegaconf import OmegaConf
-
-    defaults: Any = OmegaConf.load(asset("conf/config.yaml"))
-    return next(str(entry["sequence"]) for entry in defaults["defaults"] if "sequence" in entry)
+    defaults = read_plain(asset("conf/config.yaml"))["defaults"]
+    return next(str(entry["sequence"]) for entry in defaults if "sequence" in entry)
 
 
 _TOP_LEVEL = (
