@@ -437,6 +437,7 @@ def test_a_results_folder_under_a_file(work, refused, command):
         (["compare", "nothing"], "the following arguments are required: second"),
         (["compare", "--", "--all", "HEAD"], "'--all' is neither a store nor a commit"),
         (["sweep"], "sweep: name the keys to sweep, e.g. fracbench sweep alpha="),
+        (["data", "paths.data=x"], "data: paths.data=x needs dataset=NAME"),
         (["bench", "--repeats", "0"], "--repeats and --threads must be at least 1"),
         (["run", "alpha=1,2", *FLAT], "run takes one point, not a grid"),
         (["run", "sequence=synthetic_*"], "run takes one point, sequence=synthetic_* stands for 16"),

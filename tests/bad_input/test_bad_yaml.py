@@ -208,6 +208,7 @@ WORKING_FOLDER = [
     ("protocol/own.yaml", "defaults: [{override hydra/launcher: boom}]", "'hydra/launcher' is not allowed"),
     ("protocol/own.yaml", "defaults: [{/model: net}]", "`defaults` may hold override /protocol"),
     ("protocol/own.yaml", "defaults: [net]", "`defaults` may hold override /protocol"),
+    ("protocol/own.yaml", "defaults: [{/sequence: venus, /model: net}]", "`defaults` may hold override /protocol"),
     ("protocol/own.yaml", "defaults: [{override /sequence: ../../x}]", "must be a name of letters"),
     ("protocol/own.yaml", "defaults: [{override /sequence: grve2}]", "grve2"),
     ("protocol/own.yaml", "defaults: 3", "`defaults` must be a list, got 3"),

@@ -167,6 +167,7 @@ def test_changed_data_are_a_reason(store, fake_rows):
     made = plan("alpha=1")
     (row,) = fake_rows(made).values()
     old = {**vars(row), "key": "made from other data", "solver_version": point_module.SOLVER_VERSION}
+    store.put(type(row)(**{**old, "key": "older still", "solver_version": 0, "created": "2000-01-01T00:00:00"}))
     store.put(type(row)(**old))
     report, todo = sweep.missing(made, store)
     assert dict(report.reasons) == {"data changed": 1}
