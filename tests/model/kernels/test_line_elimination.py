@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.linalg
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from fracbench.model.kernels.cosine import LINES
@@ -36,6 +36,7 @@ def solved(rhs, direct, mu, alpha, axis=1):
 
 
 @settings(max_examples=60, deadline=None)
+@example(alpha=1.0, n=64, mu=0.3125, theta=0.0546875, seed=0)
 @given(
     alpha=st.floats(1e-3, 2.0),
     n=st.sampled_from([64, 101, 200, 301]),
@@ -49,7 +50,9 @@ def test_lines_are_solved_as_the_dense_matrices_are(alpha, n, mu, theta, seed):
     rhs = rng.normal(size=(5, n)).astype(np.float32)
     expected = dense(rhs, direct, mu, alpha)
     errors = np.abs(solved(rhs, direct, mu, alpha) - expected).max(axis=1)
-    assert (errors <= 3e-6 * np.abs(expected).max(axis=1)).all()
+    # rows of gains change when k does by more than rounding; 1 / r is then known to s / mu times as much
+    bound = 3e-6 + np.finfo(np.float32).eps * direct / mu
+    assert (errors <= bound * np.abs(expected).max(axis=1)).all()
 
 
 @pytest.mark.parametrize("alpha", [0.0, 1.0, 2.0])
