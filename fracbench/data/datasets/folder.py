@@ -10,7 +10,8 @@ from fracbench.errors import DataError
 _LAYOUT = (
     "one sub-folder a pair with frame0.* and frame1.* (or frame10.*, frame11.*), flow.flo or flow.png, mask.png"
 )
-_STEMS = (("frame0", "frame1", ("flow.flo", "flow.png")), ("frame10", "frame11", ("flow10.flo", "flow10.png")))
+_STEMS = (("frame0", "frame1"), ("frame10", "frame11"))
+_FLOWS = ("flow.flo", "flow.png", "flow10.flo", "flow10.png")
 
 
 def names(folder: Path) -> list[str]:
@@ -24,7 +25,7 @@ def names(folder: Path) -> list[str]:
 def roles(name: str, folder: Path) -> Roles:
     """Return the files of a pair: frames, and true flow and mask where they are."""
     found = _frames(folder / name)
-    for first, second, flows in _STEMS:
+    for first, second in _STEMS:
         if not (first in found or second in found):
             continue
         paths = {}
@@ -34,7 +35,7 @@ def roles(name: str, folder: Path) -> Roles:
                 there = f"has {' and '.join(files)}" if files else f"has no {stem}.*"
                 raise DataError(f"{folder / name}: {there}; a pair is one {first}.* and one {second}.*")
             paths[role] = files[0]
-        truths = [flow for flow in flows if (folder / name / flow).exists()]
+        truths = [flow for flow in _FLOWS if (folder / name / flow).exists()]
         if len(truths) > 1:
             raise DataError(f"{folder / name}: has {' and '.join(truths)}; a pair has one true flow")
         if truths:
@@ -47,7 +48,7 @@ def roles(name: str, folder: Path) -> Roles:
 
 def _frames(folder: Path) -> dict[str, list[str]]:
     """Return the names of the files called as frames, by name without suffix."""
-    wanted = {stem for first, second, _ in _STEMS for stem in (first, second)}
+    wanted = {stem for pair in _STEMS for stem in pair}
     found: dict[str, list[str]] = {}
     for path in list_folder(folder):
         if path.stem in wanted and path.suffix:

@@ -160,10 +160,11 @@ def test_hidden_files_and_other_files_are_no_pairs(folder):
     assert load_sequence("a", "folder", folder).shape == (H, W)
 
 
-def test_frames_may_be_named_as_middleburys(folder):
+@pytest.mark.parametrize("flow", ["flow.flo", "flow10.flo"])
+def test_frames_may_be_named_as_middleburys(folder, flow):
     for k in range(2):
         (folder / "a" / f"frame{k}.png").rename(folder / "a" / f"frame1{k}.png")
-    (folder / "a" / "flow.flo").rename(folder / "a" / "flow10.flo")
+    (folder / "a" / "flow.flo").rename(folder / "a" / flow)
     pair = load_sequence("a", "folder", folder)
     assert pair.truth is not None
     np.testing.assert_array_equal(pair.frame0, gray_of(frame(2)))
