@@ -5,19 +5,26 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from fracbench.api import estimate_flow
+    from fracbench.api import EstimatedFlow, estimate_flow
     from fracbench.clips import estimate_flows
     from fracbench.data.datasets.base import Dataset
+    from fracbench.data.datasets.registry import load_sequence
+    from fracbench.data.files import read_flow, write_flow
     from fracbench.data.pair import FramePair
+    from fracbench.evaluation.metrics import FlowErrors, flow_errors
+    from fracbench.figures.flowcolor import flow_to_color
     from fracbench.methods.method import Method
     from fracbench.model.coarse_to_fine import FlowResult
     from fracbench.model.confidence import Confidence
     from fracbench.model.params import FlowParams
+    from fracbench.sweeps import sweep
 
 __version__ = "0.1.0"
 __all__ = [
     "Confidence",
     "Dataset",
+    "EstimatedFlow",
+    "FlowErrors",
     "FlowParams",
     "FlowResult",
     "FramePair",
@@ -25,17 +32,31 @@ __all__ = [
     "__version__",
     "estimate_flow",
     "estimate_flows",
+    "flow_errors",
+    "flow_to_color",
+    "load_sequence",
+    "read_flow",
+    "sweep",
+    "write_flow",
 ]
 
 _HOMES = {
     "estimate_flow": "fracbench.api",
+    "EstimatedFlow": "fracbench.api",
     "estimate_flows": "fracbench.clips",
+    "sweep": "fracbench.sweeps",
     "FlowResult": "fracbench.model.coarse_to_fine",
     "Confidence": "fracbench.model.confidence",
     "FlowParams": "fracbench.model.params",
     "Method": "fracbench.methods.method",
     "Dataset": "fracbench.data.datasets.base",
     "FramePair": "fracbench.data.pair",
+    "load_sequence": "fracbench.data.datasets.registry",
+    "read_flow": "fracbench.data.files",
+    "write_flow": "fracbench.data.files",
+    "flow_errors": "fracbench.evaluation.metrics",
+    "FlowErrors": "fracbench.evaluation.metrics",
+    "flow_to_color": "fracbench.figures.flowcolor",
 }
 
 

@@ -1,10 +1,10 @@
-"""The Python interface: `estimate_flow`."""
+"""The Python interface: `estimate_flow`, and its result."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,8 +21,42 @@ from fracbench.model.data_terms.masked import check_mask
 from fracbench.model.kernels.threads import use_threads
 from fracbench.model.params import FlowParams
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 #: The preset of flows of one's own: the defaults of `FlowParams`.
 DEFAULT_PROTOCOL = "recommended"
+
+
+class EstimatedFlow(FlowResult):
+    """The result of `estimate_flow`: a `FlowResult` that draws itself, in a notebook by itself."""
+
+    def plot(self, ax: Axes | None = None, *, max_motion: float | None = None) -> Axes:
+        """Show the flow in Middlebury's colours: hue is direction, saturation is speed.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, optional
+            Where to draw; new axes of `matplotlib.pyplot` by default.
+        max_motion : float, optional
+            The speed in pixels that gets the full colour, by default the largest of this flow.
+
+        Returns
+        -------
+        Axes
+        """
+        from fracbench.figures.show_flow import draw_flow
+
+        return draw_flow(self.flow, ax, max_motion=max_motion)
+
+    def _repr_html_(self) -> str:
+        from fracbench.figures.show_flow import flow_html
+
+        height, width = self.flow.shape[1:]
+        iterations, seconds = sum(map(sum, self.iterations)), sum(self.seconds.values())
+        count = f"{iterations} iterations, " if self.levels else ""
+        lines = [f"{self.method}: {width} x {height} px, {count}{seconds:.2f} s; {self.ending}", *self.notices]
+        return flow_html(self.flow, "; ".join(lines))
 
 
 def estimate_flow(
@@ -37,7 +71,7 @@ def estimate_flow(
     trace: bool = False,
     threads: int = 1,
     **params: Any,
-) -> FlowResult:
+) -> EstimatedFlow:
     """Estimate the optical flow from `frame0` to `frame1`.
 
     Without further arguments this is fractional TV-L1 with the preset ``recommended``: alpha = 1.1, flow
@@ -76,8 +110,9 @@ def estimate_flow(
 
     Returns
     -------
-    FlowResult
+    EstimatedFlow
         The flow, shape (2, H, W), float32, pixels, with iterations, stop reasons and seconds; in words, `ending`.
+        It shows itself in a notebook; `plot` draws it.
 
     Raises
     ------
@@ -134,7 +169,7 @@ def estimate_flow(
             result.confidence = check_backward(result.flow, back.flow)
             result.seconds["backward"] = time.perf_counter() - started
     result.notices += notices
-    return result
+    return EstimatedFlow(**vars(result))
 
 
 def settings_of(protocol: str, method: str | None, params: Mapping[str, Any]) -> tuple[Method, Any]:

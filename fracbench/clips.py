@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy.typing as npt
 
-from fracbench.api import estimate_flow
+from fracbench.api import EstimatedFlow, estimate_flow
 from fracbench.errors import InputError
-from fracbench.model.coarse_to_fine import FlowResult
 
 
-def estimate_flows(frames: Iterable[npt.ArrayLike], **settings: Any) -> Iterator[FlowResult]:
+def estimate_flows(frames: Iterable[npt.ArrayLike], **settings: Any) -> Iterator[EstimatedFlow]:
     """Estimate the flow from each frame of a clip to the next one.
 
     Two frames are in memory at a time, and a flow is computed when it is asked for. Each is the flow that
@@ -27,7 +26,7 @@ def estimate_flows(frames: Iterable[npt.ArrayLike], **settings: Any) -> Iterator
 
     Yields
     ------
-    FlowResult
+    EstimatedFlow
         The flow from frame i to frame i + 1, one fewer than there are frames.
 
     Raises

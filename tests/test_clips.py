@@ -1,12 +1,11 @@
 from __future__ import annotations
 
-import doctest
 import weakref
 
 import numpy as np
 import pytest
 
-from fracbench import clips, estimate_flow, estimate_flows
+from fracbench import estimate_flow, estimate_flows
 from fracbench.errors import InputError
 
 QUICK = {"n_warps": 1, "max_iter": 2}
@@ -62,8 +61,3 @@ def test_a_clip_has_two_frames(frames, count):
 def test_settings_are_those_of_a_flow(frames):
     with pytest.raises(InputError, match="unknown parameter 'lamda': did you mean 'lambda'"):
         list(estimate_flows(frames, lamda=0.3))
-
-
-def test_the_examples_hold():
-    results = doctest.testmod(clips)
-    assert (results.attempted, results.failed) == (4, 0)
