@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 FRACBENCH := $(BIN)/python -m fracbench
 
 .DEFAULT_GOAL := help
-.PHONY: help setup table2 figures paper beyond publish check check-all test test-python lint format clean
+.PHONY: help setup table2 figures paper beyond publish check check-all test test-python docs lint format clean
 
 help: ## list the commands
 	@awk -F ':.*## ' '/^[a-z0-9_-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -15,6 +15,10 @@ setup: $(VENV)/.ready ## make the environment (every other command does so when 
 $(VENV)/.ready: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+	@touch $@
+
+$(VENV)/.docs: $(VENV)/.ready
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev,docs]'
 	@touch $@
 
 table2: $(VENV)/.ready ## compute Table 2 of the paper, published beside recomputed
@@ -35,11 +39,12 @@ publish: $(VENV)/.ready ## maintainers: renew results/committed and the answer i
 check: $(VENV)/.ready ## recompute the stored tables and compare them cell by cell
 	$(FRACBENCH) check
 
-check-all: ## run all checks of a change, as CI does: lint, test, test-python, check
+check-all: ## run all checks of a change, as CI does: lint, test, test-python, check, docs
 	$(MAKE) lint
 	$(MAKE) test
 	$(MAKE) test-python
 	$(MAKE) check
+	$(MAKE) docs
 
 test: $(VENV)/.ready ## run all tests
 	$(BIN)/python -m pytest --numprocesses 2 --dist loadfile
@@ -48,6 +53,13 @@ test-python: $(VENV)/.ready ## test the numerics without compilation, as plain P
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q $(addprefix tests/model/, $(addsuffix .py, \
 	  kernels/test_cosine kernels/test_pointwise kernels/test_forward_rows kernels/test_exponential_sum \
 	  kernels/test_line_elimination test_sweeps test_warping test_pyramid))
+
+docs: $(VENV)/.docs ## build the documentation site in build/site, and check it: spelling, warnings, notebook, browser
+	$(BIN)/codespell
+	mkdir -p build/notebook && cp docs/tutorial.ipynb build/notebook
+	$(BIN)/python -m pytest -q --nbmake build/notebook/tutorial.ipynb
+	$(BIN)/python -m sphinx --quiet --fail-on-warning --keep-going docs build/site
+	$(BIN)/python -m pytest -q tests/test_site.py
 
 lint: $(VENV)/.ready ## check style and types
 	$(BIN)/ruff check .
@@ -59,5 +71,5 @@ format: $(VENV)/.ready ## format the code
 	$(BIN)/ruff check --fix .
 
 clean: ## remove the environment and everything computed
-	rm -rf $(VENV) results/figures results/private results/runs results/sweeps results/tables build dist
+	rm -rf $(VENV) docs/auto_gallery docs/generated results/figures results/private results/runs results/sweeps results/tables build dist
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import re
+import shlex
+import warnings
+from importlib.util import find_spec
 from pathlib import Path
 
 import pandas as pd
 import pytest
 
+from fracbench import load_sequence
+from fracbench.commands.options import build_parser
+from fracbench.errors import InputError
+from fracbench.harness.config.grid import parse_overrides
 from fracbench.harness.config.paths import checkout
 
 HALF = 0.006  # documents give two digits
@@ -107,3 +114,77 @@ def test_the_map_of_the_rooms_is_complete():
 
 def test_the_readme_is_short():
     assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 120
+
+
+# -- commands and code ------------------------------------------------------------------------------
+
+
+def commands(text: str) -> list[list[str]]:
+    """The words after ``fracbench`` of every command in a document, in code blocks and in the text."""
+    lines = [line for line in text.splitlines() if line.startswith("    ")]
+    spans = [" ".join(span.split()) for span in re.findall(r"(?<!`)`([^`]+)`(?!`)", text)]
+    found = []
+    for line in [*map(str.strip, lines), *spans]:
+        start = re.match(r"(?:\$ )?(?:\w+=\S+ )*(?:(?:\S*python3?) -m )?fracbench (?=[a-z])", line)
+        if start and "..." not in line:
+            found.append(shlex.split(line[start.end() :], comments=True))
+    return found
+
+
+def sources() -> list[Path]:
+    return [*documents(), *sorted((ROOT / "docs" / "gallery").glob("plot_*.py"))] if ROOT else []
+
+
+def test_commands_are_found():
+    text = "    .venv/bin/python -m fracbench sweep alpha=0:2:0.1  # errors\n"
+    text += "`fracbench\nbench --only x`, `fracbench`, `A=1 fracbench data`"
+    assert commands(text) == [["sweep", "alpha=0:2:0.1"], ["bench", "--only", "x"], ["data"]]
+    assert sum(len(commands(path.read_text(encoding="utf-8"))) for path in sources()) > 60
+
+
+@pytest.mark.parametrize("path", sources(), ids=lambda path: path.name)
+def test_the_commands_of_the_documents_are_understood(path):
+    for words in commands(path.read_text(encoding="utf-8")):
+        try:
+            arguments = build_parser().parse_words(words)
+            grid = parse_overrides(getattr(arguments, "overrides", []))
+        except InputError as exc:
+            if len(words) > 1 or "arguments are required" not in str(exc):  # `fracbench sweep` names the command
+                pytest.fail(f"fracbench {shlex.join(words)}: {exc}")
+        else:
+            assert grid.size > 0
+
+
+PYTHON = re.compile(r"^```python\n(.*?)^```", re.DOTALL | re.MULTILINE)  # CONTRIBUTING's are in its recipes' tests
+
+
+@pytest.mark.parametrize(
+    "path",
+    [path for path in (documents() if ROOT else []) if PYTHON.search(path.read_text(encoding="utf-8"))],
+    ids=lambda path: path.name,
+)
+def test_the_python_of_the_documents_runs(path, work, monkeypatch):
+    blocks = PYTHON.findall(path.read_text(encoding="utf-8"))
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    pair = load_sequence("flat", "synthetic")
+    names = {"frame0": pair.frame0, "frame1": pair.frame1, "frames": [pair.frame0, pair.frame1]}
+    for block in blocks:
+        code = compile(block, path.name, "exec")
+        missing = [
+            name for name in re.findall(r"^(?:from|import) (\w+)", block, re.MULTILINE) if not find_spec(name)
+        ]
+        if missing:
+            pytest.skip(f"needs {', '.join(missing)}")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            exec(code, names)  # as a reader would, one block after another
+
+
+def test_the_gallery_is_made_of_scripts_with_text():
+    scripts = sorted((ROOT / "docs" / "gallery").glob("plot_*.py"))
+    assert len(scripts) >= 10
+    for script in scripts:
+        text = script.read_text(encoding="utf-8")
+        title, rule = text.splitlines()[1:3]
+        assert rule == "=" * len(rule) and len(rule) >= len(title), script.name
+        assert "\n# %%\n" in text and "plt.show()" in text, script.name

@@ -23,7 +23,8 @@ from fracbench.harness.config import paths as assets
 from fracbench.harness.config.paths import asset, checkout
 
 ROOT = Path(fracbench.__file__).parents[1]
-ASSETS = ("conf", "docs", "experiments", "results/published", "results/reference", "results/claims.yaml")
+DOCUMENTS = ("docs/beyond.md", "docs/errata.md", "docs/protocol.md")
+ASSETS = ("conf", *DOCUMENTS, "experiments", "results/published", "results/reference", "results/claims.yaml")
 
 
 @pytest.fixture(scope="module")
@@ -45,6 +46,7 @@ def wheel(project, tmp_path_factory) -> Path:
         if (ROOT / name).is_dir():
             shutil.copytree(ROOT / name, source / name, ignore=ignored)
         else:
+            (source / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(ROOT / name, source / name)
     target = tmp_path_factory.mktemp("wheel")
     (built,) = hatchling.WheelBuilder(str(source)).build(directory=str(target), versions=["standard"])

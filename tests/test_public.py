@@ -10,7 +10,7 @@ import pytest
 
 import fracbench
 
-MODULES = sorted({home for home in fracbench._HOMES.values()})
+MODULES = sorted(set(fracbench._HOMES.values()))
 
 
 @pytest.mark.parametrize("name", fracbench.__all__)
