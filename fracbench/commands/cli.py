@@ -12,6 +12,7 @@ from functools import partial
 from typing import TYPE_CHECKING, NoReturn
 
 from fracbench.commands import console
+from fracbench.commands.completion import complete
 from fracbench.commands.options import build_parser
 from fracbench.errors import RESUME, FracbenchError, InputError
 
@@ -41,7 +42,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _dispatch(argv: list[str]) -> int:
     try:
-        arguments = build_parser().parse_words(argv)
+        parser = build_parser()
+        if "_ARGCOMPLETE" in os.environ:  # a shell asks for the words that may follow
+            complete(parser)
+        arguments = parser.parse_words(argv)
         return _COMMANDS[arguments.command](arguments) or EXIT_DONE
     finally:
         sys.stdout.flush()  # later, nobody could catch the error of a reader that has gone
@@ -101,6 +105,9 @@ def _settings(name: str, overrides: Sequence[str]) -> Sequence[str]:
 def _run_experiment(experiment: Experiment, settings: Sequence[str], arguments: argparse.Namespace) -> int:
     from fracbench.commands import run
 
+    if arguments.cfg:
+        run.show_config(experiment, settings)
+        return EXIT_DONE
     failed = run.run_experiment(
         experiment,
         [*settings, *_limit(arguments)],
@@ -142,6 +149,20 @@ def _run(arguments: argparse.Namespace) -> None:
     from fracbench.commands import run
 
     run.run_point(arguments.overrides)
+
+
+def _config(arguments: argparse.Namespace) -> None:
+    from fracbench.commands import run
+    from fracbench.harness.config.experiment import MAIN, Experiment, load_experiment
+
+    names = [word for word in arguments.words if "=" not in word]
+    if len(names) > 1:
+        raise InputError(f"config takes the name of one experiment, got {' and '.join(names)}")
+    keys = tuple(word for word in arguments.words if "=" in word)
+    if names:
+        run.show_config(load_experiment(names[0]), _settings(names[0], keys))
+    else:
+        run.show_config(Experiment("config", "", "sweep", {MAIN: keys}), ())
 
 
 def _estimate(arguments: argparse.Namespace) -> None:
@@ -243,6 +264,7 @@ _COMMANDS: dict[str, Callable[[argparse.Namespace], int | None]] = {
     "report": _report,
     "claims": _claims,
     "run": _run,
+    "config": _config,
     "estimate": _estimate,
     "estimate-sequence": _estimate_sequence,
     "check": _check,

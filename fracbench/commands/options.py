@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import textwrap
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,27 @@ _PARAMETERS = "parameters, e.g. alpha=1.2, or protocol=accurate"
 _PROCESSES = "number of worker processes (default: 2)"
 _MOVED = "has moved: python {}, in a checkout"
 
+#: Two commands to start from, below the help of each subcommand.
+EXAMPLES = {
+    "sweep": ("alpha=0:2:0.1 region=grove2_A", "sequence=all method=tvl1,tvl1_sb lambda=log(0.03:3:7) --dry-run"),
+    "table": ("2", "2 --small"),
+    "figure": ("6", "3 --jobs 4"),
+    "experiment": ("accurate --dry-run", "convergence"),
+    "report": ("--dry-run", "--only table2,fig6"),
+    "claims": ("", "paths.results=results"),
+    "run": ("sequence=venus alpha=1.2", "region=grove2_A protocol=published"),
+    "config": ("protocol=accurate sequence=venus", "table2"),
+    "estimate": ("a.png b.png -o flow.flo", "a.png b.png -o flow.flo protocol=accurate --confidence trust.png"),
+    "estimate-sequence": ("clip -o flows", "'clip/*.png' -o flows protocol=fast --jobs 4"),
+    "check": ("", "table2 --jobs 4"),
+    "status": ("", "alpha_by_structure --json"),
+    "compare": ("results/runs other/results/runs", "HEAD~1 HEAD"),
+    "bench": ("sequence=venus --repeats 3", "--only fast,opencv_dis"),
+    "data": ("", "dataset=folder paths.data=pairs"),
+    "warmup": ("", "tvl1_sb_alpha"),
+    "methods": ("", ""),
+}
+
 _KEYS: dict[str, Any] = {"nargs": "*", "metavar": "KEY=VALUE"}
 _NUMBER: dict[str, Any] = {"type": int, "metavar": "N"}
 _FILE: dict[str, Any] = {"type": Path, "metavar": "FILE"}
@@ -45,7 +67,15 @@ def build_parser() -> Parser:
     subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
 
     def add(name: str, text: str) -> argparse.ArgumentParser:
-        sub: Parser = subparsers.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+        more = f"{_GRID_HELP} " if name == "sweep" else ""
+        examples = dict.fromkeys(f"  fracbench {name} {words}".rstrip() for words in EXAMPLES[name])
+        sub: Parser = subparsers.add_parser(
+            name,
+            help=text,
+            description=f"{text[0].upper()}{text[1:]}.",
+            epilog="\n".join([*textwrap.wrap(more, 78), *([""] if more else []), "examples:", *examples]),
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
         sub.set_defaults(command=name, parser=sub)
         return sub
 
@@ -58,7 +88,6 @@ def build_parser() -> Parser:
 
 def _add_grids(add: _Add) -> None:
     sweep = add("sweep", "compute all points of a grid of parameters; write a CSV and a plot")
-    sweep.epilog = _GRID_HELP
     _add_points(sweep, _GRID, "KEY=GRID")
     table = add("table", "compute a table of the paper and write it")
     table.add_argument("number", help="number of the table, e.g. 2")
@@ -83,6 +112,7 @@ def _add_points(
         action="store_true",
         help="print the number of points and the expected minutes; compute nothing",
     )
+    parser.add_argument("--cfg", action="store_true", help="print the configuration; compute nothing")
     parser.add_argument(
         "--small", action="store_true", help="try few values of each grid; the names of the files end in _small"
     )
@@ -104,6 +134,10 @@ def _add_paper(add: _Add) -> None:
 def _add_flows(add: _Add) -> None:
     run = add("run", "compute one flow of a data set; write it as .flo and as a colour picture")
     run.add_argument("overrides", help="sequence, method, parameters, e.g. sequence=venus alpha=1.2", **_KEYS)
+    config = add("config", "print the configuration that these words stand for; compute nothing")
+    config.add_argument(
+        "words", nargs="*", metavar="NAME|KEY=GRID", help="keys with their grids, or the name of one experiment"
+    )
     estimate = add("estimate", "compute the flow between two images of your own")
     estimate.add_argument("frame0", type=Path, help="first image")
     estimate.add_argument("frame1", type=Path, help="second image, of the same size")

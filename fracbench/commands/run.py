@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from fracbench.commands import console
 from fracbench.commands.flow_output import picture_beside, say_errors, say_result, write_flow_and_picture
@@ -52,6 +53,48 @@ def run_experiment(
         console.say(f"wrote {path}")
     say_failures(report)
     return len(report.failed)
+
+
+def show_config(experiment: Experiment, settings: Sequence[str]) -> None:
+    """Print the composed configuration of each grid of an experiment, as YAML, and the options of its renderer.
+
+    A key that varies has all its values. Parameters that a point does not depend on are left out, as in its key.
+    """
+    import yaml
+
+    for part, tokens in experiment.grids.items():
+        words = [*tokens, *settings]
+        grid, plan = parse_overrides(words), make_plan(words, allow_download=False)
+        for notice in plan.notices:
+            console.note(f"note: {notice}")
+        labels = {key: [planned.labels.get(key) for planned in plan.points] for key in _LABELS}
+        others = {key: [point[key] for point in grid.points()] for key in grid.varying if key not in labels}
+        parameters: dict[str, list[Any]] = {}
+        for planned in plan.points:
+            for key, value in planned.point.canonical.items():
+                parameters.setdefault(key, []).append(value)
+        shown: dict[str, Any] = {key: _distinct(values) for key, values in labels.items()}
+        shown |= {key: _distinct(values) for key, values in others.items() if key not in parameters}
+        shown["params"] = {key: _distinct(values) for key, values in sorted(parameters.items())}
+        shown["parallel"] = vars(plan.config.parallel)
+        folder = None if plan.folder is None else str(plan.folder)
+        shown["paths"] = {"data": folder, "results": str(plan.config.results)}
+        title = f"# {part}: " if len(experiment.grids) > 1 else "# "
+        console.say(f"{title}{' '.join(words) or 'the default'}; {len(plan.unique())} points")
+        console.say(yaml.safe_dump(shown, sort_keys=False).rstrip())
+    if experiment.options:
+        console.say(yaml.safe_dump({"options": dict(experiment.options)}, sort_keys=False).rstrip())
+
+
+_LABELS = ("dataset", "sequence", "region", "method", "protocol")
+
+
+def _distinct(values: Sequence[Any]) -> Any:
+    """Return the only value, or the list of the distinct ones; texts that are numbers become numbers."""
+    import yaml
+
+    plain = [yaml.safe_load(value) if isinstance(value, str) else value for value in dict.fromkeys(values)]
+    return plain[0] if len(plain) == 1 else plain
 
 
 def run_plan(plan: Plan, name: str, jobs: int, *, rerun_failed: bool = False) -> sweep.Report:
