@@ -77,7 +77,7 @@ sphinx_gallery_conf = {
     "remove_config_comments": True,
     "copyfile_regex": r".*\.rst",
     "show_signature": False,
-    "reset_modules": ("matplotlib",),
+    "reset_modules": ("matplotlib", "from_files.house_look"),
 }
 
 html_theme = "pydata_sphinx_theme"

@@ -16,6 +16,7 @@ import pandas as pd
 from sphinx.application import Sphinx
 
 from fracbench.commands.options import build_parser
+from fracbench.figures.style import RC
 
 ROOT = Path(__file__).parents[2]
 TABLES = ROOT / "results" / "committed" / "tables"
@@ -131,6 +132,14 @@ def copy_gallery(source: Path, copy: Path) -> None:
     """Copy the gallery's scripts to a folder of their own, where what they write harms nobody."""
     shutil.rmtree(copy, ignore_errors=True)
     shutil.copytree(source, copy)
+
+
+def house_look(_: Any, __: Any) -> None:
+    """Give the gallery's figures the look of those of the tables and the report."""
+    import matplotlib.pyplot as plt
+
+    plt.rcdefaults()
+    plt.rcParams.update({**RC, "figure.dpi": 100, "savefig.dpi": 160})
 
 
 def setup(app: Sphinx) -> dict[str, Any]:

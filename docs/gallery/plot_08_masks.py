@@ -14,9 +14,9 @@ import numpy as np
 
 import fracbench
 
-pair = fracbench.load_sequence("parallax", "synthetic")
+pair = fracbench.load_sequence("rotation", "synthetic")
 logo = np.zeros(pair.shape, bool)
-logo[30:60, 50:100] = True
+logo[20:50, 90:140] = True
 frame0, frame1 = (np.where(logo, 255.0, frame) for frame in (pair.frame0, pair.frame1))
 
 without = fracbench.estimate_flow(frame0, frame1)

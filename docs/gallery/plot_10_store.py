@@ -40,7 +40,7 @@ view = pd.concat([spec[["method", "params.n_warps"]], result[["aepe", "aae"]], r
 print(view.sort_values(["method", "params.n_warps"]).to_string(index=False))
 
 # %%
-# More warps, smaller errors:
+# Errors against the number of warps:
 
 fig, ax = plt.subplots(figsize=(6, 3.2), layout="constrained")
 for method, rows in view.groupby("method"):
