@@ -70,7 +70,7 @@ def _slug(tokens: Sequence[str]) -> str:
     tokens = [token for token in tokens if not token.startswith("parallel")]  # where it runs changes no result
     text = "__".join(re.sub(r"[^\w.=,+-]+", "_", token) for token in tokens if not token.startswith("paths."))
     # Characters are replaced and names cut: a digest tells sweeps of the same name apart.
-    digest = hashlib.sha256("\0".join(tokens).encode()).hexdigest()[:8]
+    digest = hashlib.sha256(os.fsencode("\0".join(tokens))).hexdigest()[:8]
     return f"{text[:80]}__{digest}"
 
 

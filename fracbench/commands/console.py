@@ -21,19 +21,24 @@ def _console(*, stderr: bool) -> Console:
 
 
 def say(text: str) -> None:
-    """Print a result to standard output, unchanged."""
-    print(text)
+    """Print a result to standard output."""
+    print(_visible(text))
 
 
 def note(text: str) -> None:
     """Print a remark to standard error."""
-    _console(stderr=True).print(text, markup=False, style="dim")
+    _console(stderr=True).print(_visible(text), markup=False, style="dim")
 
 
 def complain(text: str) -> None:
     """Print an error to standard error, in one line."""
-    text = " ".join(text.splitlines())  # a file's name may hold a line break
+    text = _visible(" ".join(text.splitlines()))  # a file's name may hold a line break
     _console(stderr=True).print(f"fracbench: {text}", markup=False, style="bold red")
+
+
+def _visible(text: str) -> str:
+    """Return a text with its control characters as escapes: a terminal would obey those in the name of a file."""
+    return "".join(c if c.isprintable() or c in "\n\t" else c.encode("unicode_escape").decode() for c in text)
 
 
 class _Notes(logging.Handler):
@@ -53,12 +58,12 @@ def show_table(table: pd.DataFrame, title: str = "") -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    view = Table(title=escape(title) or None, title_justify="left")
+    view = Table(title=escape(_visible(title)) or None, title_justify="left")
     for column in table.columns:
         numeric = table[column].map(_looks_numeric).all()
-        view.add_column(str(column), justify="right" if numeric else "left", no_wrap=True)
+        view.add_column(escape(_visible(str(column))), justify="right" if numeric else "left", no_wrap=True)
     for row in table.itertuples(index=False):
-        view.add_row(*("" if value is None else escape(str(value)) for value in row))
+        view.add_row(*("" if value is None else escape(_visible(str(value))) for value in row))
     console = _console(stderr=False)
     if not console.is_terminal:
         console.width = 200  # a file or a pipe has no edge to wrap at

@@ -2,7 +2,7 @@
 
 A flow in memory is float32 ``(2, H, W)``, ``flow[0]`` to the right and ``flow[1]`` down, in pixels; an
 unknown pixel is NaN in both components. Readers trust no header: what it promises is compared with the bytes
-there are before any memory is taken.
+there are before any memory is taken, and a small file that unpacks into a large one is refused by its size.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import secrets
 import stat
 import struct
 import warnings
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -21,13 +22,17 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from fracbench.data.read_once import MAX_BYTES
 from fracbench.errors import InputError, unknown_name
 
 FLO_TAG = b"PIEH"  # the float32 202021.25, little endian
 FLO_UNKNOWN = 1666666752.0
 UNKNOWN_ABOVE = 1e9
 MAX_FLO_SIDE = 99_999
-MAX_PNG_PIXELS = 16_384**2
+#: Pillow's own limit for a picture, which another program in the process may have lifted.
+MAX_PIXELS = 89_478_485
+#: A progressive JPEG of the largest size may have this many scans; each of them goes through all pixels.
+MAX_SCANS = 100
 
 _KITTI_ZERO = 2**15
 _KITTI_STEP = 64.0
@@ -61,14 +66,17 @@ def atomic_path(path: Pathish) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
 
 
-def read_bytes(path: Pathish) -> bytes:
+def read_bytes(path: Pathish, most: int = MAX_BYTES) -> bytes:
     """Return the content of a regular file; anything that prevents it is an InputError naming the file."""
     path = Path(path)
     try:
-        if stat.S_ISREG(path.stat().st_mode):  # a pipe or a device could go on for ever
+        found = path.stat()
+        if stat.S_ISREG(found.st_mode) and found.st_size <= most:  # a pipe or a device could go on for ever
             return path.read_bytes()
     except (OSError, ValueError) as exc:  # ValueError: a NUL in the name
         raise InputError(f"{path}: cannot be read: {_reason(exc)}") from exc
+    if stat.S_ISREG(found.st_mode):
+        raise InputError(f"{path}: {found.st_size} bytes, more than the {most} that it may have")
     raise InputError(f"{path}: not a regular file")
 
 
@@ -112,18 +120,22 @@ def _with_image(data: bytes, where: str, read: Callable[[Any], T]) -> T:
             warnings.simplefilter("ignore")  # on what is damaged: it is read, or it is not
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             with Image.open(io.BytesIO(data), formats=_PICTURES) as image:
-                _require_plausible(image.size, len(data))
+                _require_plausible(image.size, data)
                 return read(image)
     except Exception as exc:  # Pillow's decoders let nearly any exception through on damaged files
         why = "unknown format" if isinstance(exc, UnidentifiedImageError) else _reason(exc)
         raise InputError(f"{where}: not a picture that can be read ({why})") from exc
 
 
-def _require_plausible(size: tuple[int, int], n_bytes: int) -> None:
+def _require_plausible(size: tuple[int, int], data: bytes) -> None:
     """Refuse a header that promises more than any picture of so many bytes holds, 8 pixels in a byte."""
-    width, height = size
-    if width * height > 8 * _DEFLATE_MAX_RATIO * n_bytes:
-        raise ValueError(f"{n_bytes} bytes cannot hold {width} x {height} pixels")
+    (width, height), n_scans = size, data.count(b"\xff\xda") if data.startswith(b"\xff\xd8") else 1
+    if width * height > MAX_PIXELS:
+        raise ValueError(f"{width} x {height} pixels are more than the {MAX_PIXELS} allowed")
+    if width * height > 8 * _DEFLATE_MAX_RATIO * len(data):
+        raise ValueError(f"{len(data)} bytes cannot hold {width} x {height} pixels")
+    if n_scans * width * height > MAX_SCANS * MAX_PIXELS:
+        raise ValueError(f"{n_scans} scans of {width} x {height} pixels would take minutes")
 
 
 def _pixels(image: Any) -> NDArray[Any]:
@@ -255,13 +267,33 @@ def decode_kitti_png(data: bytes, where: str) -> NDArray[np.float32]:
     import png
 
     height, width = _check_kitti_header(data, where)
+    flow = np.empty((2, height, width), np.float32)  # holds all multiples of 1/64 below 512 exactly
     try:
-        _, _, rows, _ = png.Reader(bytes=data).read()
-        values = np.array([np.asarray(row, dtype=np.uint16) for row in rows]).reshape(height, width, 3)
+        # A row has a byte more, also in each pass of an interlaced picture.
+        _require_bounded_data(data, 6 * width * height + 2 * height + 8)
+        n_rows = 0
+        for n_rows, row in enumerate(png.Reader(bytes=data).read()[2], 1):
+            values = np.asarray(row, dtype=np.float32).reshape(width, 3)
+            flow[:, n_rows - 1] = (values[:, :2].T - _KITTI_ZERO) / _KITTI_STEP
+            flow[:, n_rows - 1, values[:, 2] == 0] = np.nan
+        if n_rows != height:
+            raise ValueError(f"{n_rows} rows of {height}")
     except Exception as exc:  # pypng lets zlib, struct and index errors through on damaged files
         raise InputError(f"{where}: damaged PNG ({_reason(exc)})") from exc
-    flow = np.moveaxis((values[..., :2].astype(np.float64) - _KITTI_ZERO) / _KITTI_STEP, 2, 0)
-    return mark_unknown(np.where(values[..., 2] > 0, flow, np.nan))
+    return flow
+
+
+def _require_bounded_data(data: bytes, most: int) -> None:
+    """Refuse a PNG whose pixels unpack into more than `most` bytes: pypng would unpack them all at once."""
+    import png
+
+    unpacker, size = zlib.decompressobj(), 0
+    for kind, packed in png.Reader(bytes=data).chunks():
+        while kind == b"IDAT" and packed and not unpacker.eof:
+            size += len(unpacker.decompress(packed, 2**20))
+            packed = unpacker.unconsumed_tail
+            if size > most:
+                raise ValueError(f"its data unpack into more than the {most} bytes that its size needs")
 
 
 def _check_kitti_header(data: bytes, where: str) -> tuple[int, int]:
@@ -271,8 +303,8 @@ def _check_kitti_header(data: bytes, where: str) -> tuple[int, int]:
     width, height, depth, colour = struct.unpack(">IIBB", data[16:26])
     if (depth, colour) != (16, 2):
         raise InputError(f"{where}: not a KITTI flow, which is a 16-bit RGB PNG (8-bit ones are pictures)")
-    if not 1 <= width * height <= MAX_PNG_PIXELS:
-        raise InputError(f"{where}: width {width} x height {height} is not within 1..{MAX_PNG_PIXELS} pixels")
+    if not 1 <= width * height <= MAX_PIXELS:
+        raise InputError(f"{where}: width {width} x height {height} is not within 1..{MAX_PIXELS} pixels")
     if 6 * width * height > _DEFLATE_MAX_RATIO * len(data):
         raise InputError(f"{where}: cut off: {len(data)} bytes cannot hold {width} x {height} pixels")
     return height, width
@@ -329,6 +361,17 @@ def ensure_folder(folder: Path) -> Path:
     if not os.access(folder, os.W_OK):
         raise InputError(f"results folder {folder}: cannot be written; set paths.results")
     return folder
+
+
+def refuse_links_out(results: Path) -> None:
+    """Refuse a results folder of which a folder or file, or one in ``runs``, is a link that leads out of it.
+
+    The folder itself may be a link, and may be anywhere.
+    """
+    home = results.resolve()
+    for path in (*results.glob("*"), *results.glob("runs/*")):
+        if path.is_symlink() and not path.resolve().is_relative_to(home):
+            raise InputError(f"{path}: is a link that leads out of the results folder; set paths.results instead")
 
 
 def write_text(text: str, path: Path) -> Path:

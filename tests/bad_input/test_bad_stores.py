@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from fracbench.harness.run.sqlite import APPLICATION_ID, SCHEMA_VERSION
+from fracbench.harness.run.sqlite import _COLUMNS, APPLICATION_ID, SCHEMA_VERSION
 from fracbench.harness.run.store import Store
 
 POINT = ("alpha=1", "sequence=synthetic_flat", "n_scales=1", "n_warps=1", "max_iter=1")
@@ -50,6 +50,8 @@ STORES: list[tuple[str, Callable[[Path], object], str]] = [
     ("cut off", lambda path: path.write_bytes(fresh(path)[:1500]), "store.sqlite"),
     ("header", lambda path: overwritten(path, 16, b"\xff\xff"), "store.sqlite"),
     ("no table", lambda path: bare(path), "store.sqlite"),
+    ("trigger", lambda path: with_trigger(path), "it holds triggers or views"),
+    ("view", lambda path: with_view(path), "it holds triggers or views"),
     ("another table", lambda path: another_table(path), "store.sqlite"),
 ]
 
@@ -61,6 +63,20 @@ def later(path: Path, version: int) -> None:
 
 def bare(path: Path) -> None:
     execute(path, f"PRAGMA application_id = {APPLICATION_ID}", f"PRAGMA user_version = {SCHEMA_VERSION}")
+
+
+def with_trigger(path: Path) -> None:
+    """A trigger would be run by our own statements."""
+    fresh(path)
+    execute(path, "CREATE TRIGGER gone AFTER INSERT ON points BEGIN DELETE FROM points; END")
+
+
+def with_view(path: Path) -> None:
+    """A view in place of the table could compute for ever."""
+    bare(path)
+    columns = ", ".join(f"NULL AS {name}" for name in _COLUMNS)
+    endless = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT"
+    execute(path, f"CREATE VIEW points AS {endless} {columns} FROM n")
 
 
 def another_table(path: Path) -> None:

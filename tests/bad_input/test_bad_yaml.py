@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os
 import shutil
 import sys
 from pathlib import Path
@@ -149,6 +150,11 @@ EXPERIMENTS = [
     ("grid: [sequence=synthetic_flat, dataset=auto]", "the key 'dataset' is given twice"),
     ("grid: [sequence=synthetic_flat, paths.results=/elsewhere]", "is said on the command line"),
     ("grid: [sequence=synthetic_flat, parallel.jobs=99]", "is said on the command line"),
+    ("grid: [sequence=synthetic_flat]\ntitle: 2001-99-99", "cannot be read as YAML: month must be in 1..12"),
+    ("grid: [sequence=synthetic_flat]\ntitle: !!bool maybe", "cannot be read as YAML"),
+    ("grid: [sequence=synthetic_flat]\ntitle: !!timestamp noon", "cannot be read as YAML"),
+    ("grid: [sequence=synthetic_flat]\ntitle: !!int ''", "cannot be read as YAML"),
+    ("grid: [sequence=synthetic_flat]\noptions: {<<: {x: 1}}", "merge keys (<<) are not allowed"),
     ("grid: !!python/object/apply:boom.go []", "could not determine a constructor"),
 ]  # fmt: skip
 
@@ -216,7 +222,7 @@ WORKING_FOLDER = [
     ("protocol/own.yaml", "x: [", "own.yaml: cannot be read as YAML"),
     ("protocol/own.yaml", "- 1", "own.yaml: must be a mapping"),
     ("protocol/own.yaml", "a: &a [1]\nb: *a", "aliases"),
-    ("protocol/own.yaml", "# " + 1_000_001 * "x", "bytes, more than the 1000000 of a configuration"),
+    ("protocol/own.yaml", "# " + 1_000_001 * "x", "bytes, more than the 1000000 that it may have"),
     ("protocol/deep/own.yaml", "protocol: own", "a configuration has no folders within"),
     ("protocol/.own.yaml", "protocol: own", "its name must be a name of letters"),
     ("protocol/-own.yaml", "protocol: own", "its name must be a name of letters"),
@@ -235,11 +241,18 @@ def test_files_of_the_working_folder_that_cannot_be_used(work, monkeypatch, refu
     assert "boom" not in sys.modules and not (work / "TRACE").exists()
 
 
-@pytest.mark.parametrize("make", [Path.mkdir, lambda path: path.symlink_to("nothing_of_the_kind")])
-def test_a_file_of_the_working_folder_that_is_none(work, refused, make):
+@pytest.mark.parametrize(
+    ("make", "named"),
+    [
+        (Path.mkdir, "own.yaml: not a regular file"),
+        (os.mkfifo, "own.yaml: not a regular file"),
+        (lambda path: path.symlink_to("nothing_of_the_kind"), "own.yaml: cannot be read"),
+    ],
+)
+def test_a_file_of_the_working_folder_that_is_none(work, refused, make, named):
     (work / "conf" / "protocol").mkdir(parents=True)
     make(work / "conf" / "protocol" / "own.yaml")
-    refused(work, ["sweep", *SCENE], "own.yaml: cannot be read")
+    refused(work, ["sweep", *SCENE], named)
 
 
 def test_the_trap_of_the_test_before_works(own_conf, work):
@@ -334,6 +347,25 @@ def test_a_small_file_that_grows_without_end_is_refused(own_conf, work, refused)
         (work / "experiments" / "mine.yaml").write_text(f"{grid}{key}:\n{indented}")
         said = refused(work, ["experiment", "mine", "dataset=synthetic"])
         assert len(said) < 400
+
+
+def test_merge_keys_that_grow_without_end_are_refused(own_conf, work, refused):
+    """PyYAML copies the keys of what is merged: 9^12 of them."""
+    text = "a0: &a0 {x: 1}\n" + "".join(
+        f"a{i}: &a{i} {{<<: [{', '.join([f'*a{i - 1}'] * 9)}]}}\n" for i in range(1, 13)
+    )
+    (own_conf / "protocol" / "own.yaml").write_text("# @package _global_\n" + text)
+    refused(work, ["sweep", *SCENE, "protocol=own"], "own.yaml: cannot be read as YAML: merge keys (<<)")
+    (own_conf / "protocol" / "own.yaml").unlink()
+    (work / "experiments").mkdir()
+    (work / "experiments" / "mine.yaml").write_text(f"grid: [sequence=synthetic_flat]\n{text}")
+    refused(work, ["experiment", "mine"], "mine.yaml: cannot be read as YAML: merge keys (<<)")
+
+
+def test_an_experiment_larger_than_a_configuration_is_not_parsed(work, refused):
+    (work / "experiments").mkdir()
+    (work / "experiments" / "mine.yaml").write_text("# " + 1_000_001 * "x")
+    refused(work, ["experiment", "mine"], "mine.yaml: 1000003 bytes, more than the 1000000 that it may have")
 
 
 def test_results_may_be_anywhere_the_user_says(work, cli):

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import io
+import resource
 import struct
 import subprocess
 import sys
 import textwrap
+import time
 import zlib
 
 import numpy as np
@@ -140,7 +142,7 @@ HEADERS = {
     "a.flo": files.FLO_TAG + struct.pack("<ii", 99_999, 99_999),
     "half.flo": files.FLO_TAG + struct.pack("<ii", 99_999, 1_000),
     "kitti.png": png(99_999, 99_999, 16, 2, chunk(b"IDAT", zlib.compress(b"\0"))),
-    "kitti_allowed.png": png(16_000, 16_000, 16, 2, chunk(b"IDAT", zlib.compress(b"\0"))),
+    "kitti_allowed.png": png(9_400, 9_400, 16, 2, chunk(b"IDAT", zlib.compress(b"\0"))),
     "picture.png": png(99_999, 99_999, 8, 2, chunk(b"IDAT", zlib.compress(b"\0"))),
     "picture_allowed.png": png(9_400, 9_400, 8, 2, chunk(b"IDAT", zlib.compress(b"\0"))),
     "gray_allowed.png": png(9_400, 9_400, 16, 0, chunk(b"IDAT", zlib.compress(b"\0"))),
@@ -150,6 +152,59 @@ HEADERS = {
     "picture.bmp": b"BM" + struct.pack("<IHHI", 60, 0, 0, 54)
     + struct.pack("<IiiHHIIiiII", 40, 9_400, 9_400, 1, 24, 0, 0, 0, 0, 0, 0) + b"\0" * 6,
 }  # fmt: skip
+
+
+def bomb(n_bytes: int) -> bytes:
+    """A deflate stream of about a thousandth of the zeros that it unpacks into."""
+    packer = zlib.compressobj(9)
+    return b"".join(packer.compress(bytes(2**20)) for _ in range(n_bytes // 2**20)) + packer.flush()
+
+
+def progressive(n_scans: int) -> bytes:
+    """A black progressive JPEG of 4000 x 4000 pixels whose last scan is repeated."""
+    file = io.BytesIO()
+    Image.fromarray(np.zeros((4000, 4000), np.uint8)).save(file, "JPEG", progressive=True)
+    data = file.getvalue()[:-2]
+    last = data[data.rfind(b"\xff\xda") :]
+    return data + last * (n_scans - data.count(b"\xff\xda")) + b"\xff\xd9"
+
+
+#: Files of at most 3 MB that their decoders would unpack into gigabytes, or for minutes.
+BOMBS = {
+    "kitti.png": (lambda: png(10, 10, 16, 2, chunk(b"IDAT", bomb(2**30))), "more than the 628 bytes"),
+    "kitti_wide.png": (lambda: png(16_384, 16_384, 16, 2, chunk(b"IDAT", bomb(2**31))), "is not within"),
+    "scans.jpg": (lambda: progressive(600), "600 scans of 4000 x 4000 pixels"),
+    "text.png": (lambda: png(9, 9, 8, 0, chunk(b"zTXt", b"a\0\0" + bomb(2**28))), "too large"),
+    "profile.png": (lambda: png(9, 9, 8, 0, chunk(b"iCCP", b"a\0\0" + bomb(2**28))), "too large"),
+}
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_a_small_file_that_unpacks_into_a_large_one_is_refused_by_its_size(tmp_path, name):
+    make, why = BOMBS[name]
+    (tmp_path / name).write_bytes(make())
+    start, taken = time.perf_counter(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(InputError, match=why) as caught:
+        (files.read_flow if name.startswith("kitti") else files.read_image)(tmp_path / name)
+    assert "\n" not in str(caught.value)
+    assert time.perf_counter() - start < 5.0
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - taken < 200 * 2**10
+
+
+def test_the_limit_does_not_depend_on_pillows(monkeypatch):
+    """Other programs in the same process set Pillow's limit to None."""
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", None)
+    monkeypatch.setattr(files, "MAX_PIXELS", 98)
+    with pytest.raises(InputError, match="11 x 9 pixels are more than the 98 allowed"):
+        files.decode_image(sound("PNG"), "a")
+
+
+@pytest.mark.parametrize("read", [files.read_flow, files.read_image])
+def test_a_file_larger_than_memory_is_not_read(tmp_path, read):
+    with (tmp_path / "a.png").open("wb") as file:
+        file.truncate(2**40)  # holes take no place on the disk
+    with pytest.raises(InputError, match="1099511627776 bytes, more than the 1073741824 that it may have"):
+        read(tmp_path / "a.png")
 
 
 def test_no_header_takes_memory_by_its_word_alone(tmp_path):

@@ -9,7 +9,7 @@ from typing import Any
 
 from fracbench.errors import InputError, unknown_name
 from fracbench.harness.config.paths import asset
-from fracbench.harness.config.records import mapping, require_name
+from fracbench.harness.config.records import mapping, read_yaml, require_name
 
 _KEYS = ("title", "artefact", "grid", "grids", "options")
 #: Name of the only grid of an experiment that has one.
@@ -35,18 +35,12 @@ def list_experiments() -> list[str]:
 
 def load_experiment(name: str) -> Experiment:
     """Read an experiment from ``experiments/`` of the working folder or of the project, checked."""
-    import yaml
-
     if name not in (known := list_experiments()):
         raise unknown_name("experiment", name, known)
     require_name(name, "an experiment", "experiments")
     own = Path("experiments") / f"{name}.yaml"
     path = own if own.is_file() else asset(f"experiments/{name}.yaml")
-    try:
-        text = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError) as exc:
-        raise InputError(f"{path}: cannot be read as YAML: {' '.join(str(exc).split())}") from exc
-    raw = mapping(text, str(path), _KEYS)
+    raw = mapping(read_yaml(path)[0], str(path), _KEYS)
     if ("grid" in raw) == ("grids" in raw):
         raise InputError(f"{path}: one of `grid` (overrides) and `grids` (overrides by name) is needed")
     grids, options = raw.get("grids", {MAIN: raw.get("grid")}), raw.get("options") or {}

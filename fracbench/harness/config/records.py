@@ -11,10 +11,11 @@ import reprlib
 import types
 import typing
 from collections.abc import Collection, Iterator, Mapping
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
+from fracbench.data.files import read_bytes
 from fracbench.errors import InputError, unknown_name
 
 T = TypeVar("T")
@@ -110,16 +111,8 @@ def read_plain(path: Path) -> Mapping[str, Any]:
 
 
 @lru_cache(maxsize=1024)
-def _read_plain(path: Path, _: int, size: int) -> Mapping[str, Any]:
-    import yaml
-
-    if size > _LARGEST:
-        raise InputError(f"{path}: has {size} bytes, more than the {_LARGEST} of a configuration")
-    try:
-        text = path.read_text(encoding="utf-8")
-        raw = yaml.safe_load(text)
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, RecursionError) as exc:
-        raise InputError(f"{path}: cannot be read as YAML: {' '.join(str(exc).split())}") from exc
+def _read_plain(path: Path, *_: int) -> Mapping[str, Any]:
+    raw, text = read_yaml(path)
     package = _PACKAGE.search(text)
     if package:
         raise InputError(f"{path}: the package must be _global_, got {package[1].strip()!r}")
@@ -130,6 +123,31 @@ def _read_plain(path: Path, _: int, size: int) -> Mapping[str, Any]:
         if _SPECIAL.fullmatch(word.strip("/ ").partition("/")[0]) or _RESOLVER.search(word):
             raise InputError(f"{path}: {word!r} is not allowed: a configuration is data and runs no code")
     return raw
+
+
+def read_yaml(path: Path) -> tuple[Any, str]:
+    """Return a YAML file as plain data, and its text."""
+    data = read_bytes(path, _LARGEST)
+    try:
+        text = data.decode("utf-8")
+        return _loader()(text).get_single_data(), text
+    except Exception as exc:  # PyYAML lets nearly any exception through, e.g. ValueError on 2001-99-99
+        why = " ".join(str(exc).split()) or type(exc).__name__
+        raise InputError(f"{path}: cannot be read as YAML: {why}") from exc
+
+
+@cache
+def _loader() -> Any:
+    import yaml
+
+    class Loader(yaml.SafeLoader):
+        """PyYAML's safe loader without merge keys: it copies what they name, and nested ones fill the memory."""
+
+        def flatten_mapping(self, node: yaml.MappingNode) -> None:
+            if any(key.tag == "tag:yaml.org,2002:merge" for key, _ in node.value):
+                raise yaml.constructor.ConstructorError(problem="merge keys (<<) are not allowed; write them out")
+
+    return Loader
 
 
 def _refuse_aliases(raw: Any, where: str, seen: set[int]) -> None:

@@ -266,8 +266,11 @@ def _unpack(job: Job, files: Mapping[str, bytes]) -> None:
 
     with tempfile.TemporaryDirectory(prefix="fracbench-") as name:
         for file, content in files.items():
-            (Path(name) / file).parent.mkdir(parents=True, exist_ok=True)
-            (Path(name) / file).write_bytes(content)
+            path = Path(name, file)
+            if ".." in path.parts or not path.is_relative_to(name):
+                raise InputError(f"dataset {job.point.dataset}: the file {file!r} leads out of its folder")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
         point = job.point
         load = get_dataset(point.dataset).load
         compute_point.hold(

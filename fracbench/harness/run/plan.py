@@ -20,6 +20,7 @@ from fracbench.data.datasets.registry import (
     match_sequence,
     shape_of,
 )
+from fracbench.data.files import refuse_links_out
 from fracbench.data.regions import Region, shifted
 from fracbench.errors import InputError, nearest, unknown_name
 from fracbench.harness.config.compose import (
@@ -101,6 +102,7 @@ def make_plan(tokens: Sequence[str], *, allow_download: bool = True, small: bool
     if grid.size > MAX_POINTS:
         raise InputError(f"{' '.join(tokens)}: {grid.size} points are more than the limit of {MAX_POINTS}")
     configs, idle = _configure(grid, pairs)
+    refuse_links_out(configs[0].results)
     wanting = next((config for config in configs if config.sequence.dataset == "middlebury"), None)
     resolved = _resolve_data(wanting or configs[0], allow_download)
 

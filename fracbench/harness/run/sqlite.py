@@ -145,6 +145,8 @@ def _is_blank(db: sqlite3.Connection, path: Path) -> bool:
         age, remedy = ("newer", "upgrade it") if version > SCHEMA_VERSION else ("older", "move the file away")
         schemas = f"schema {version}, this one has {SCHEMA_VERSION}"
         raise InputError(f"store {path}: written by a fracbench {age} than this ({schemas}); {remedy}")
+    if db.execute("SELECT count(*) FROM sqlite_master WHERE type IN ('trigger', 'view')").fetchone()[0]:
+        raise InputError(f"store {path}: {DAMAGED} (it holds triggers or views, which no store of ours has)")
     if not _COLUMNS.keys() <= {name for _, name, *_ in db.execute("PRAGMA table_info(points)")}:
         raise InputError(f"store {path}: {DAMAGED} (columns are missing)")
     return False

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from fracbench.data.files import write_text
 from fracbench.errors import InputError, unknown_name
 from fracbench.harness.config.paths import asset
+from fracbench.harness.config.records import read_yaml
 from fracbench.report.claims import region_rules, table_rules
 from fracbench.report.claims.judging import RULES, UNKNOWN, VERDICTS, Tables, UnjudgeableError
 
@@ -70,13 +71,8 @@ class Judged:
 
 def load_claims(path: Path | None = None) -> list[Claim]:
     """Read the claims: the project's ``results/claims.yaml``, or a file like it."""
-    import yaml
-
     path = path or asset("results/claims.yaml")
-    try:
-        raw = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as exc:
-        raise InputError(f"{path}: cannot be read as YAML: {' '.join(str(exc).split())}") from exc
+    raw, _ = read_yaml(path)
     if not isinstance(raw, list) or not all(isinstance(row, dict) for row in raw):
         raise InputError(f"{path}: must be a list of claims, each with the keys {', '.join(sorted(_KEYS))}")
     claims = [_claim(row, f"{path}: claim {i}") for i, row in enumerate(raw, 1)]

@@ -13,7 +13,7 @@ from fracbench.harness.run.point import canonical_value
 from fracbench.harness.run.store import Row
 from fracbench.model.params import FlowParams
 from fracbench.report.claims.judging import PROTOCOLS
-from fracbench.report.page.elements import Block, Cell, Column, Details, Section, Table, Text, demoted
+from fracbench.report.page.elements import Block, Cell, Column, Details, Section, Table, Text, code, demoted, plain
 from fracbench.report.sources import Source
 
 _PROTOCOLS = (*PROTOCOLS, "recommended")
@@ -148,14 +148,14 @@ def _origin(rows: Sequence[Row]) -> str:
     """Return one paragraph a kind of origin, the most frequent value first."""
     origins = [row.provenance for row in rows]
     versions = [
-        ", ".join(f"{name} {version}" for name, version in sorted(origin.get("versions", {}).items()))
+        plain(", ".join(f"{name} {version}" for name, version in sorted(origin.get("versions", {}).items())))
         for origin in origins
     ]
     lines = {
         "Points": [f"{len(rows)} stored, {sum(row.seconds or 0.0 for row in rows):.0f} s of computing"],
         "Solver version": _ranked(str(row.solver_version) for row in rows),
-        "Processor": _ranked(origin.get("cpu") for origin in origins),
-        "Python": _ranked(origin.get("python") for origin in origins),
+        "Processor": _ranked(plain(str(origin.get("cpu") or "")) for origin in origins),
+        "Python": _ranked(plain(str(origin.get("python") or "")) for origin in origins),
         "Versions": _ranked(versions),
         "Commit": _ranked(_commit(origin.get("commit"), origin.get("dirty")) for origin in origins),
         "Rows written": [f"{min(row.created for row in rows)[:10]} to {newest(rows)}"],
@@ -164,10 +164,10 @@ def _origin(rows: Sequence[Row]) -> str:
 
 
 def _commit(commit: str | None, dirty: bool | None) -> str | None:
-    return None if commit is None else f"`{commit[:12]}`{' with local changes' if dirty else ''}"
+    return None if commit is None else f"{code(commit[:12])}{' with local changes' if dirty else ''}"
 
 
 def _ranked(values: Iterable[str | None]) -> list[str]:
-    counts = Counter(value for value in values if value)
+    counts = Counter(str(value) for value in values if value)
     ranked = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
     return [value if len(ranked) == 1 else f"{value} ({count} points)" for value, count in ranked]

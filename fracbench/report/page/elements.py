@@ -180,6 +180,16 @@ def markdown_html(text: str) -> str:
     return str(_markdown().render(re.sub(r"\[([^\]]*)\]\((?!https?://|#)[^)]*\)", r"\1", text)))
 
 
+def plain(text: str) -> str:
+    """Return Markdown that shows a text as it is, on one line: a name, an error, or another word of a store."""
+    return re.sub(r"[\\`*_\[\]<>&|]", lambda match: f"&#{ord(match[0])};", " ".join(text.split()))
+
+
+def code(text: str) -> str:
+    """Return Markdown that shows a word as code, without its backticks."""
+    return f"`{' '.join(text.replace('`', '').split())}`"
+
+
 @lru_cache(maxsize=1)
 def _markdown() -> MarkdownIt:
     from markdown_it import MarkdownIt

@@ -15,8 +15,10 @@ from fracbench.report.page.elements import (
     Picture,
     Section,
     Text,
+    code,
     demoted,
     picture_file,
+    plain,
 )
 from fracbench.report.page.gallery import gallery, missing_flows, scenes, shared_scale
 from fracbench.report.sources import COMMITTED, SUFFIXES, Source, Sources, homes
@@ -46,8 +48,8 @@ def answer_picture(sources: Sources) -> list[Block]:
 def place(path: Path, results: Path) -> str:
     """Return the words of a caption that say which file is shown, and whether it is a committed copy."""
     if path.is_relative_to(results):
-        return f"File `{path.relative_to(results)}`"
-    return f"Committed copy: `{COMMITTED}/{path.parent.name}/{path.name}`"
+        return f"File {code(str(path.relative_to(results)))}"
+    return f"Committed copy: {code(f'{COMMITTED}/{path.parent.name}/{path.name}')}"
 
 
 # -- figures -------------------------------------------------------------------------------------
@@ -157,5 +159,6 @@ def state(source: Source) -> list[Block]:
         blocks.append(Missing(f"{some} of the {source.n_points} points of {name}", source.command))
     if source.unfinished:
         bad = source.unfinished
-        blocks.append(Text(f"{len(bad)} points of {name} failed or diverged; the first: {bad[0].error}", "answer"))
+        first = plain(str(bad[0].error))
+        blocks.append(Text(f"{len(bad)} points of {name} failed or diverged; the first: {first}", "answer"))
     return blocks

@@ -21,7 +21,7 @@ from fracbench.harness.run.plan import Plan, make_plan
 from fracbench.harness.run.point import Point
 from fracbench.harness.run.store import RUNS
 from fracbench.methods.registry import get_method
-from fracbench.report.page.elements import Gallery, Picture, drawing, photograph
+from fracbench.report.page.elements import Gallery, Picture, drawing, photograph, plain
 from fracbench.report.sources import Sources
 
 #: The shared scale of the error maps ends where so many of all errors are below it.
@@ -140,7 +140,7 @@ def gallery(scene: Scene, top: float) -> Gallery:
     shown.append(photograph(flow_to_color(scene.truth, rim), alt, "true flow"))
     for estimate in scene.estimates:
         alt = f"{name}: flow of {estimate.title}, in the colour code of the wheel"
-        shown.append(photograph(flow_to_color(estimate.flow, rim), alt, estimate.title))
+        shown.append(photograph(flow_to_color(estimate.flow, rim), alt, plain(estimate.title)))
     for estimate in scene.estimates:
         mean = f"mean {estimate.aepe:.3f} px" if np.isfinite(estimate.aepe) else "not finite"
         alt, caption = f"{name}: end-point error of {estimate.title}, {mean}", f"its error: {mean}"

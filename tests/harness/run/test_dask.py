@@ -273,6 +273,12 @@ def test_data_that_are_not_what_they_should_be_are_refused():
         dask._unpack(a_job(), {"frame10.png": b"x", "frame11.png": b"y", "flow10.flo": b"z"})
 
 
+@pytest.mark.parametrize("file", ["../a.png", "a/../../b.png", "/a.png"])
+def test_no_file_that_is_sent_leads_out_of_the_workers_folder(file):
+    with pytest.raises(InputError, match=r"dataset middlebury: the file .* leads out of its folder"):
+        dask._unpack(a_job(), {file: b"x"})
+
+
 def test_a_worker_without_the_data_asks_for_them():
     assert dask._compute(a_job(), {}, "topic") is False
 
