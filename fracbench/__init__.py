@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from fracbench.data.datasets.registry import load_sequence
     from fracbench.data.files import read_flow, write_flow
     from fracbench.data.pair import FramePair
+    from fracbench.evaluation.derivatives import Derivatives, derivatives
     from fracbench.evaluation.metrics import FlowErrors, flow_errors
     from fracbench.figures.flowcolor import flow_to_color
     from fracbench.methods.method import Method
@@ -23,6 +24,7 @@ __version__ = "0.1.0"
 __all__ = [
     "Confidence",
     "Dataset",
+    "Derivatives",
     "EstimatedFlow",
     "FlowErrors",
     "FlowParams",
@@ -30,6 +32,7 @@ __all__ = [
     "FramePair",
     "Method",
     "__version__",
+    "derivatives",
     "estimate_flow",
     "estimate_flows",
     "flow_errors",
@@ -45,6 +48,8 @@ _HOMES = {
     "EstimatedFlow": "fracbench.api",
     "estimate_flows": "fracbench.clips",
     "sweep": "fracbench.sweeps",
+    "derivatives": "fracbench.evaluation.derivatives",
+    "Derivatives": "fracbench.evaluation.derivatives",
     "FlowResult": "fracbench.model.coarse_to_fine",
     "Confidence": "fracbench.model.confidence",
     "FlowParams": "fracbench.model.params",

@@ -1,4 +1,5 @@
-"""Errors of a flow against the true flow, over all pixels, by class of pixels, and with confidence intervals.
+"""Errors of a flow against the true flow, over all pixels, by class of pixels, and with confidence intervals;
+derivatives of a flow.
 
 Imports `fracbench.errors` and `fracbench.model.structure`.
 """
