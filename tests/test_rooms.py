@@ -29,7 +29,7 @@ MAY_IMPORT = {
     "harness.run": (*_SOLVER, "evaluation", "harness.config"),
     "harness.check": (*_SOLVER, "evaluation", "harness.config", "harness.run"),
     "harness": (),
-    "figures": ("errors", "data.files"),
+    "figures": ("errors", "data.files", "data.field"),
     "studies": (*_HARNESS, "figures"),
     "report": (*_HARNESS, "figures", "studies"),
     "commands": (*_HARNESS, "api", "figures", "studies", "report"),

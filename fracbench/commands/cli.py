@@ -167,6 +167,7 @@ def _config(arguments: argparse.Namespace) -> None:
 
 def _estimate(arguments: argparse.Namespace) -> None:
     from fracbench.commands.estimate import estimate_pair
+    from fracbench.commands.field_output import FieldFiles, Units
 
     estimate_pair(
         arguments.frame0,
@@ -177,6 +178,8 @@ def _estimate(arguments: argparse.Namespace) -> None:
         mask=arguments.mask,
         initial_flow=arguments.initial_flow,
         confidence=arguments.confidence,
+        fields=FieldFiles(arguments.arrows, arguments.vorticity, arguments.csv, arguments.netcdf),
+        units=Units(arguments.scale, arguments.dt, arguments.grid),
         method=arguments.method,
         threads=arguments.threads,
         overrides=arguments.overrides,

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fracbench.commands import console
+from fracbench.commands.field_output import FieldFiles, Units, say_written, to_field
 from fracbench.commands.flow_output import picture_beside, say_errors, say_result, write_flow_and_picture
 from fracbench.commands.warmup import compile_for
 from fracbench.errors import InputError
@@ -30,13 +31,16 @@ def estimate_pair(
     mask: Path | None = None,
     initial_flow: Path | None = None,
     confidence: Path | None = None,
+    fields: FieldFiles = FieldFiles(),  # noqa: B008 - a tuple
+    units: Units = Units(),  # noqa: B008
     method: str | None = None,
     threads: int = 1,
     overrides: Sequence[str] = (),
 ) -> None:
     """Compute the flow between two image files; write it (``.flo``, or KITTI's ``.png``) and its colour picture.
 
-    The errors are printed if the true flow is given, and the confidence is drawn if a file for it is named.
+    The errors are printed if the true flow is given, and the confidence is drawn if a file for it is named; so are
+    the files of the velocity field.
     `method` is by default that of the protocol in `overrides`.
     """
     from fracbench.api import estimate_flow
@@ -48,13 +52,15 @@ def estimate_pair(
     given, chosen, settings, name = read_settings("estimate", overrides, method)
     picture = color or picture_beside(output)
     inputs = [path for path in (frame0, frame1, truth, mask, initial_flow) if path is not None]
-    _require_outputs(output, [picture, confidence] if confidence else [picture], inputs)
+    _require_outputs(output, [picture, confidence] if confidence else [picture], fields, inputs)
+    units.require(bool(fields.paths))
     first, second = read_image(frame0), read_image(frame1)
     size = first.shape[:2]
     expected = _of_size(size, truth, "true flow", read_flow(truth)) if truth else None
     start = _of_size(size, initial_flow, "initial flow", read_flow(initial_flow)) if initial_flow else None
     hidden = _of_size(size, mask, "mask", _not_black(read_image(mask))) if mask else None
     check_frames(to_gray(first, name="frame0", nan=True), to_gray(second, name="frame1", nan=True))
+    grid = units.step(size)
     compile_for([(chosen.name, settings)], errors=truth is not None)
     result = estimate_flow(
         first,
@@ -74,6 +80,10 @@ def estimate_pair(
         console.say(f"the flows forward and back agree at {share:.1%} of the pixels")
         write_image(confidence, confidence_picture(result.confidence))
         console.say(f"wrote {confidence}")
+    if fields.paths:
+        doubtful = None if result.confidence is None else ~result.confidence.agrees
+        fields.write(to_field(result.flow, units, hidden, doubtful), grid, f"fracbench, {name}")
+        say_written(fields)
 
 
 def read_settings(
@@ -125,7 +135,7 @@ def _of_size(size: tuple[int, ...], path: Path, what: str, array: NDArray[Any]) 
     return array
 
 
-def _require_outputs(output: Path, pictures: Sequence[Path], inputs: Sequence[Path]) -> None:
+def _require_outputs(output: Path, pictures: Sequence[Path], fields: FieldFiles, inputs: Sequence[Path]) -> None:
     """Refuse an output that cannot be written, or that would replace an input, before anything is computed."""
     from PIL import Image
 
@@ -134,8 +144,9 @@ def _require_outputs(output: Path, pictures: Sequence[Path], inputs: Sequence[Pa
     for picture in pictures:
         if picture.suffix.lower() not in Image.registered_extensions():
             raise InputError(f"{picture}: no picture format has the suffix {picture.suffix!r}; use .png")
+    fields.require()
     taken = {path.resolve() for path in inputs}
-    for path in (output, *pictures):
+    for path in (output, *pictures, *fields.paths):
         # Path.is_dir raises where a parent may not be entered
         if not (os.path.isdir(path.parent) and os.access(path.parent, os.W_OK)):  # noqa: PTH112
             raise InputError(f"{path}: {str(path.parent)!r} is not a folder that can be written to")

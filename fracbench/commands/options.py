@@ -152,6 +152,7 @@ def _add_flows(add: _Add) -> None:
     )
     estimate.add_argument("--initial-flow", help="flow to start from, .flo or KITTI's .png", **_FILE)
     estimate.add_argument("--confidence", help="picture of the trust in each pixel; doubles the time", **_FILE)
+    _add_field(estimate)
     estimate.add_argument("--threads", default=1, help="number of threads (default: 1)", **_NUMBER)
     estimate.add_argument("--method", **_METHOD)
     clip = add("estimate-sequence", "compute the flows of a clip, from each frame to the next")
@@ -165,6 +166,30 @@ def _add_flows(add: _Add) -> None:
     clip.add_argument(
         "--max-motion", type=float, metavar="PX", help="speed of the full colours (default: from the flows)"
     )
+
+
+def _add_field(estimate: argparse.ArgumentParser) -> None:
+    field = estimate.add_argument_group(
+        "velocity field, e.g. of particle images",
+        "Axes of these files: x to the right, y and v up, origin at the lower left corner; pixels, and with "
+        "--scale and --dt mm, mm/s and 1/s. Vorticity is positive counter-clockwise.",
+    )
+    field.add_argument("--arrows", help="arrows over the magnitude, .png or .pdf", **_FILE)
+    field.add_argument("--vorticity", help="colour picture of the vorticity, .png or .pdf", **_FILE)
+    field.add_argument(
+        "--csv",
+        help="table with OpenPIV's columns: x, y, u, v, flags (1: with --confidence, the flow back disagrees), "
+        "mask; .csv has commas, .txt is the file of openpiv.tools.save (tabs, '# ' before the names)",
+        **_FILE,
+    )
+    field.add_argument("--netcdf", help="all pixels, .nc by the CF conventions (extra piv)", **_FILE)
+    _add_units(field)
+
+
+def _add_units(field: argparse._ArgumentGroup) -> None:
+    field.add_argument("--grid", type=int, metavar="PX", help="step of arrows and table (default: 16)")
+    field.add_argument("--scale", type=float, metavar="MM_PER_PX", help="size of a pixel in mm")
+    field.add_argument("--dt", type=float, metavar="SECONDS", help="time from the first image to the second")
 
 
 def _add_upkeep(add: _Add) -> None:

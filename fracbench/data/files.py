@@ -89,7 +89,8 @@ def _reason(exc: BaseException) -> str:
 def read_image(path: Pathish) -> NDArray[Any]:
     """Read a picture (PNG, JPEG, PPM/PGM, BMP, TIFF, GIF or WebP) as uint8 or uint16, (H, W) or (H, W, 3).
 
-    Palettes are resolved and alpha is dropped; 16-bit *colour* is read with 8 bits.
+    Palettes are resolved and alpha is dropped; 16-bit *colour* is read with 8 bits, and refused in a TIFF. So is a
+    TIFF of several pages, unless all but the first are reduced copies.
     """
     return decode_image(read_bytes(path), str(path))
 
@@ -121,6 +122,8 @@ def _with_image(data: bytes, where: str, read: Callable[[Any], T]) -> T:
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             with Image.open(io.BytesIO(data), formats=_PICTURES) as image:
                 _require_plausible(image.size, data)
+                if image.format == "TIFF":
+                    _require_one_frame(image)
                 return read(image)
     except Exception as exc:  # Pillow's decoders let nearly any exception through on damaged files
         why = "unknown format" if isinstance(exc, UnidentifiedImageError) else _reason(exc)
@@ -136,6 +139,20 @@ def _require_plausible(size: tuple[int, int], data: bytes) -> None:
         raise ValueError(f"{len(data)} bytes cannot hold {width} x {height} pixels")
     if n_scans * width * height > MAX_SCANS * MAX_PIXELS:
         raise ValueError(f"{n_scans} scans of {width} x {height} pixels would take minutes")
+
+
+def _require_one_frame(image: Any) -> None:
+    """Refuse a TIFF that is no single frame, or whose colours would lose bits."""
+    subfile, bits = 254, 258  # tags: bit 0 of the first one marks a reduced copy
+    if image.mode == "RGB" and max(image.tag_v2.get(bits, (8,))) > 8:
+        raise ValueError("16-bit colour; convert it to 16-bit gray")
+    pages = 1
+    for page in range(1, image.n_frames):
+        image.seek(page)
+        pages += not image.tag_v2.get(subfile, 0) & 1
+    image.seek(0)
+    if pages > 1:
+        raise ValueError(f"a TIFF of {pages} pages; save each frame as a file of its own")
 
 
 def _pixels(image: Any) -> NDArray[Any]:

@@ -1,4 +1,4 @@
-"""Figures: one style, curves, panels, pictures of flow, and files that are drawn only when they change.
+"""Figures: one style, curves, panels, pictures of flow and fields, and files that are drawn when they change.
 
-Imports `fracbench.errors` and `fracbench.data.files`.
+Imports `fracbench.errors`, `fracbench.data.files` and `fracbench.data.field`.
 """

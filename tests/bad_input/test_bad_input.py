@@ -38,6 +38,24 @@ def tiff_of_floats() -> bytes:
     return file.getvalue()
 
 
+def tiff_of_deep_colour() -> bytes:
+    """A TIFF of 32 x 24 pixels with 16 bits a colour, which Pillow does not write."""
+    pixels = bytes(6 * 32 * 24)
+    bits = 8 + len(pixels)
+    tags = [  # number, type (3: 16 bits, 4: 32 bits), count, value
+        (256, 3, 1, 32), (257, 3, 1, 24), (258, 3, 3, bits), (259, 3, 1, 1), (262, 3, 1, 2), (273, 4, 1, 8),
+        (277, 3, 1, 3), (278, 3, 1, 24), (279, 4, 1, len(pixels)),
+    ]  # fmt: skip
+    directory = struct.pack("<H", len(tags)) + b"".join(struct.pack("<HHII", *tag) for tag in tags) + bytes(4)
+    return b"II*\0" + struct.pack("<I", bits + 6) + pixels + struct.pack("<HHH", 16, 16, 16) + directory
+
+
+def bmp_of(frame: np.ndarray) -> bytes:
+    file = io.BytesIO()
+    Image.fromarray(frame).save(file, "BMP")
+    return file.getvalue()
+
+
 @pytest.fixture
 def files(images) -> Path:
     """Good files and bad ones of every kind."""
@@ -69,6 +87,11 @@ def files(images) -> Path:
     (images / "deep.tiff").write_bytes(tiff_of_floats())
     (images / "script.eps").write_text("%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 32 24\nshowpage\n%%EOF\n")
     (images / "drawing.svg").write_text('<svg xmlns="http://www.w3.org/2000/svg" width="32" height="24"/>')
+    (images / "deep_colour.tif").write_bytes(tiff_of_deep_colour())
+    pages = [Image.fromarray(frame), Image.fromarray(frame)]
+    pages[0].save(images / "pages.tif", save_all=True, append_images=pages[1:])
+    (images / "empty.tif").touch()
+    (images / "cut.bmp").write_bytes(bmp_of(frame)[:-200])
     write_flo(images / "other.flo", np.zeros((2, 24, 31), np.float32))
     write_flo(images / "taken.flo", np.zeros((2, 24, 32), np.float32))
     return images
@@ -94,6 +117,14 @@ def files(images) -> Path:
         ("bomb.png", "b.png", ("bomb.png: not a picture", "decompression bomb")),
         ("wide.png", "b.png", ("wide.png: not a picture", "bytes cannot hold 9000 x 9000 pixels")),
         ("deep.tiff", "b.png", ("deep.tiff: not a picture", "floating-point; 8 or 16 bits")),
+        (
+            "deep_colour.tif",
+            "b.png",
+            ("deep_colour.tif: not a picture", "16-bit colour; convert it to 16-bit gray"),
+        ),
+        ("a.png", "pages.tif", ("pages.tif: not a picture", "a TIFF of 2 pages; save each frame as a file")),
+        ("empty.tif", "b.png", ("empty.tif: not a picture",)),
+        ("cut.bmp", "b.png", ("cut.bmp: not a picture",)),
         ("script.eps", "b.png", ("script.eps: not a picture", "unknown format")),
         ("drawing.svg", "b.png", ("drawing.svg: not a picture", "unknown format")),
         ("a.png\nb.png", "b.png", ("a.png b.png: cannot be read",)),
@@ -185,6 +216,55 @@ def test_masks_and_initial_flows_that_cannot_be_used(files, refused, extra, name
 )
 def test_outputs_that_cannot_be_written(files, refused, output, extra, named):
     refused(files, ["estimate", "a.png", "b.png", "-o", output, *extra], named)
+
+
+@pytest.mark.parametrize(
+    ("extra", "named"),
+    [
+        (["--arrows", "f.jpg"], "f.jpg: a picture of a field is written as .png or .pdf, not as '.jpg'"),
+        (["--vorticity", "f"], "f: a picture of a field is written as .png or .pdf, not as ''"),
+        (
+            ["--csv", "f.xlsx"],
+            "f.xlsx: a table is written as .csv (commas) or .txt (as OpenPIV writes it), not as",
+        ),
+        (["--netcdf", "f.hdf"], "f.hdf: NetCDF is written as .nc, not as '.hdf'"),
+        (["--csv", "nowhere/f.csv"], "nowhere/f.csv: 'nowhere' is not a folder that can be written to"),
+        (["--csv", "a.png"], "a.png: a table is written as .csv"),
+        (["--csv", "f.csv", "--arrows", "b.png"], "b.png: the command names this file twice"),
+        (["--arrows", "f.png", "--vorticity", "f.png"], "f.png: the command names this file twice"),
+        (["--arrows", "out.color.png"], "out.color.png: the command names this file twice"),
+        (["--csv", "f.csv", "--scale", "0"], "--scale must be a positive number of mm a pixel, got 0"),
+        (["--csv", "f.csv", "--scale", "-0.5"], "--scale must be a positive number of mm a pixel, got -0.5"),
+        (["--csv", "f.csv", "--scale", "nan"], "--scale must be a positive number of mm a pixel, got nan"),
+        (["--csv", "f.csv", "--scale", "inf"], "--scale must be a positive number of mm a pixel, got inf"),
+        (["--csv", "f.csv", "--scale", "1mm"], "argument --scale: invalid float value: '1mm'"),
+        (["--csv", "f.csv", "--dt", "0"], "--dt must be a positive number of seconds, got 0"),
+        (["--csv", "f.csv", "--dt", "nan"], "--dt must be a positive number of seconds, got nan"),
+        (["--csv", "f.csv", "--grid", "0"], "--grid must be at least 1 pixel, got 0"),
+        (["--csv", "f.csv", "--grid", "-16"], "--grid must be at least 1 pixel, got -16"),
+        (["--csv", "f.csv", "--grid", "8.5"], "argument --grid: invalid int value: '8.5'"),
+        (["--arrows", "f.png", "--grid", "48"], "--grid 48: no vector of it is within frames of 32 x 24 pixels"),
+        (["--scale", "0.1"], "--scale belongs to --arrows, --vorticity, --csv and --netcdf: give one of them"),
+        (["--dt", "0.1"], "--dt belongs to --arrows, --vorticity, --csv and --netcdf"),
+        (["--grid", "8"], "--grid belongs to --arrows, --vorticity, --csv and --netcdf"),
+        (["--csv", "f.csv", "--mask", "small.png"], "small.png: the mask is 32 x 23, the frames are 32 x 24"),
+        (
+            ["--csv", "f.csv", "--mask", "pages.tif"],
+            "pages.tif: not a picture that can be read (a TIFF of 2 pages",
+        ),
+        (["--arows", "f.png"], "unexpected argument '--arows': did you mean --arrows?"),
+    ],
+)
+def test_fields_that_cannot_be_written(files, refused, extra, named):
+    refused(files, ["estimate", "a.png", "b.png", "-o", "out.flo", *extra], named)
+
+
+def test_netcdf_without_its_package(files, refused, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    refused(
+        files, ["estimate", "a.png", "b.png", "-o", "out.flo", "--netcdf", "f.nc"],
+        "f.nc: NetCDF needs xarray: pip install 'fracbench[piv]'",
+    )  # fmt: skip
 
 
 def test_a_flow_that_the_format_cannot_hold(files, refused, monkeypatch):

@@ -16,6 +16,7 @@ import pandas as pd
 import pytest
 import yaml
 from numba import config
+from PIL import Image
 
 import fracbench
 from fracbench import api, estimate_flow
@@ -24,6 +25,7 @@ from fracbench.commands.console import COMPILING
 from fracbench.data.datasets import middlebury as middlebury_data
 from fracbench.data.files import read_flow, read_image, write_image
 from fracbench.errors import RESUME
+from fracbench.evaluation.derivatives import derivatives
 from fracbench.evaluation.metrics import flow_errors
 from fracbench.harness.check.tolerances import MEASURED
 from fracbench.harness.config.paths import asset
@@ -386,6 +388,55 @@ def test_a_mask_an_initial_flow_and_the_confidence(cli, images):
     np.testing.assert_array_equal(picture > 0, agrees)
     np.testing.assert_allclose(picture[agrees], 255 - 254 * np.minimum(distance[agrees], 1), atol=0.5)
     assert f"the flows forward and back agree at {agrees.mean():.1%} of the pixels\nwrote conf.png\n" in done.out
+
+
+def test_a_field_is_written_in_physical_axes_and_units(cli, images):
+    """The files agree with the flow, whose y points down."""
+    xarray = pytest.importorskip("xarray")
+    write_image("mask.png", np.pad(np.full((4, 6), 255, np.uint8), ((0, 20), (0, 26))))
+    files = ["--arrows", "a.pdf", "--vorticity", "v.png", "--csv", "f.csv", "--netcdf", "f.nc"]
+    units = ["--grid", "8", "--scale", "0.5", "--dt", "0.01"]
+    words = ["estimate", "a.png", "b.png", "-o", "flow.flo", "--mask", "mask.png", "--confidence", "c.png"]
+    done = cli(*words, *files, *units, "max_iter=9")
+    assert (done.code, done.err) == (EXIT_DONE, "")
+    assert done.out.endswith("wrote a.pdf\nwrote v.png\nwrote f.csv\nwrote f.nc\n")
+    u1, u2 = read_flow("flow.flo")
+    table = np.loadtxt("f.csv", delimiter=",", skiprows=1)
+    assert table.shape == (12, 6)
+    row, column = 12, 20
+    (line,) = table[(table[:, 0] == 0.5 * (column + 0.5)) & (table[:, 1] == 0.5 * (24 - row - 0.5))]
+    np.testing.assert_allclose(line[2:4], [50 * u1[row, column], -50 * u2[row, column]], rtol=1e-6)
+    doubtful = read_image("c.png") == 0
+    assert 0 < doubtful.sum() < doubtful.size
+    with xarray.open_dataset("f.nc") as read:
+        assert read.attrs["source"] == "fracbench, tvl1_sb_alpha (preset recommended with max_iter=9)"
+        known = np.ones((24, 32), bool)
+        known[:4, :6] = False
+        np.testing.assert_array_equal(read.mask[::-1] == 1, ~known)
+        np.testing.assert_array_equal(read.flags[::-1] == 1, doubtful)
+        np.testing.assert_allclose(read.u.values[::-1][known], 50 * u1[known], rtol=1e-6)
+        assert np.isnan(read.u.values[::-1][~known]).all()
+        slopes = derivatives(np.where(known, [u1, u2], np.nan), dt=0.01)
+        np.testing.assert_allclose(read.vorticity[::-1], -slopes.vorticity, rtol=1e-5, atol=1e-4)
+    assert Path("a.pdf").read_bytes().startswith(b"%PDF") and read_image("v.png").shape[1] == 1280
+
+
+def test_the_grid_of_a_field_is_16_pixels_by_default(cli, images):
+    assert cli("estimate", "a.png", "b.png", "-o", "flow.flo", "max_iter=2", "--csv", "f.txt").code == EXIT_DONE
+    lines = Path("f.txt").read_text().splitlines()
+    assert lines[0] == "# x\ty\tu\tv\tflags\tmask"
+    assert [line.split("\t")[:2] for line in lines[1:]] == [["8.5", "15.5"], ["24.5", "15.5"]]
+
+
+@pytest.mark.parametrize(("suffix", "bits"), [(".tif", 8), (".tif", 16), (".bmp", 8)])
+def test_frames_of_piv_cameras_give_the_flow_of_the_same_png(cli, images, suffix, bits):
+    for name in "ab":
+        frame = read_image(f"{name}.png").astype(np.uint16) * (257 if bits == 16 else 1)
+        Image.fromarray(frame if bits == 16 else frame.astype(np.uint8)).save(f"{name}{suffix}")
+        assert read_image(f"{name}{suffix}").dtype == f"uint{bits}"
+    cli("estimate", "a.png", "b.png", "-o", "one.flo", "max_iter=9")
+    assert cli("estimate", f"a{suffix}", f"b{suffix}", "-o", "two.flo", "max_iter=9").code == EXIT_DONE
+    np.testing.assert_allclose(read_flow("two.flo"), read_flow("one.flo"), atol=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -365,3 +365,14 @@ def test_the_suffix_decides_the_format(tmp_path):
     for act in (files.read_flow, lambda path: files.write_flow(path, np.zeros((2, 3, 4)))):
         with pytest.raises(InputError, match=r"unknown flow format '\.fl'.*'\.flo'"):
             act(tmp_path / "a.fl")
+
+
+def test_a_tiff_with_a_reduced_copy_is_one_frame(tmp_path):
+    """Pages that are marked as reduced copies, such as previews, do not count."""
+    frame = np.random.default_rng(0).integers(0, 65536, (12, 16)).astype(np.uint16)
+    page, preview = Image.fromarray(frame), Image.fromarray(frame[::4, ::4])
+    preview.encoderinfo = {"tiffinfo": {254: 1}}
+    page.save(tmp_path / "a.tif", save_all=True, append_images=[preview])
+    with Image.open(tmp_path / "a.tif") as written:
+        assert written.n_frames == 2
+    np.testing.assert_array_equal(files.read_image(tmp_path / "a.tif"), frame)
