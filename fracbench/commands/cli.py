@@ -188,7 +188,10 @@ def _estimate(arguments: argparse.Namespace) -> None:
 
 def _estimate_sequence(arguments: argparse.Namespace) -> int:
     from fracbench.commands.estimate_sequence import estimate_sequence
+    from fracbench.commands.field_output import SequenceFields, Units
 
+    units = Units(arguments.scale, arguments.dt, arguments.grid)
+    kinds = (arguments.arrows, arguments.vorticity, arguments.csv, arguments.netcdf)
     # argparse gives all words up to the first option to the frames
     settings = [word for word in arguments.frames if "=" in word and not os.path.lexists(word)]
     whole = estimate_sequence(
@@ -198,6 +201,9 @@ def _estimate_sequence(arguments: argparse.Namespace) -> int:
         method=arguments.method,
         jobs=arguments.jobs,
         max_motion=arguments.max_motion,
+        paired=arguments.pairs,
+        mask=arguments.mask,
+        fields=SequenceFields(*kinds, units),
     )
     return EXIT_DONE if whole else EXIT_FAILED
 

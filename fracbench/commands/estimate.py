@@ -56,11 +56,11 @@ def estimate_pair(
     units.require(bool(fields.paths))
     first, second = read_image(frame0), read_image(frame1)
     size = first.shape[:2]
-    expected = _of_size(size, truth, "true flow", read_flow(truth)) if truth else None
-    start = _of_size(size, initial_flow, "initial flow", read_flow(initial_flow)) if initial_flow else None
-    hidden = _of_size(size, mask, "mask", _not_black(read_image(mask))) if mask else None
+    expected = of_size(size, truth, "true flow", read_flow(truth)) if truth else None
+    start = of_size(size, initial_flow, "initial flow", read_flow(initial_flow)) if initial_flow else None
+    hidden = of_size(size, mask, "mask", not_black(read_image(mask))) if mask else None
     check_frames(to_gray(first, name="frame0", nan=True), to_gray(second, name="frame1", nan=True))
-    grid = units.step(size)
+    grid = units.step(size) if fields.paths else 0
     compile_for([(chosen.name, settings)], errors=truth is not None)
     result = estimate_flow(
         first,
@@ -120,12 +120,13 @@ def confidence_picture(confidence: Confidence) -> NDArray[Any]:
     return picture
 
 
-def _not_black(image: NDArray[Any]) -> NDArray[Any]:
+def not_black(image: NDArray[Any]) -> NDArray[Any]:
+    """Return the mask, (H, W) bool, that a picture stands for."""
     brightest: NDArray[Any] = image if image.ndim == 2 else image.max(axis=2)
     return brightest > 0
 
 
-def _of_size(size: tuple[int, ...], path: Path, what: str, array: NDArray[Any]) -> NDArray[Any]:
+def of_size(size: tuple[int, ...], path: Path, what: str, array: NDArray[Any]) -> NDArray[Any]:
     """Return a flow (2, H, W) or a mask (H, W) if it has the size of the frames, (H, W)."""
     if array.shape[-2:] != size:
         raise InputError(

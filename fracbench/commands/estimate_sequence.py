@@ -13,12 +13,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from fracbench.commands import console
+from fracbench.commands.field_output import SequenceFields
 from fracbench.commands.warmup import compile_for
 from fracbench.data import clip as files
 from fracbench.data.manifest import Entry, Manifest, add_entry, file_digest
 from fracbench.errors import FracbenchError, InputError
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from fracbench.methods.method import Method
 
 SHEET, VIDEO, FRAMES = "contact_sheet.png", "flow.mp4", "frames"
@@ -48,6 +51,13 @@ class Settings(NamedTuple):
     name: str
 
 
+class Mask(NamedTuple):
+    """Pixels that do not count, (H, W) bool, and the digest of their file."""
+
+    pixels: NDArray[Any]
+    digest: str
+
+
 class Outcome(NamedTuple):
     """The entry of a flow in the manifest, or the reason why there is none."""
 
@@ -64,35 +74,48 @@ def estimate_sequence(
     method: str | None = None,
     jobs: int = 2,
     max_motion: float | None = None,
+    paired: bool = False,
+    mask: Path | None = None,
+    fields: SequenceFields = SequenceFields(),  # noqa: B008 - a tuple
 ) -> bool:
-    """Compute and draw the flows of a clip into a folder; return whether there is one of each frame but the last.
+    """Compute and draw the flows of a clip into a folder; return whether none is missing.
 
     `words` name pictures, folders, globs or one video; `max_motion` is the speed of the full colours in pixels.
+    There is a flow from each frame to the next, or if the frames are `paired`, from each first one to its second.
     """
     from fracbench.commands.run import require_workers
 
     require_workers(jobs)
     if max_motion is not None and not 0.0 < max_motion < float("inf"):
         raise InputError(f"--max-motion must be a positive number of pixels, got {max_motion:g}")
+    fields.require()
     settings = _settings(overrides, method)
     paths, rate, fault = files.find_frames(words), files.RATE, ""
     manifest = Manifest(output)
-    _require_apart(words, paths, manifest)
+    _require_apart(words, paths, manifest, fields)
     if paths[0].suffix.lower() in files.VIDEOS:
         paths, rate, fault = _frames_of(paths[0], manifest)
     elif len(paths) < 2:
         raise InputError(f"{paths[0]}: a clip has two or more frames, got one")
+    if paired and len(paths) % 2:
+        raise InputError(f"--pairs takes an even number of frames, got {len(paths)}; the last is {paths[-1]}")
     frames = _look(paths, jobs)
-    pairs = [(a, b) for a, b in itertools.pairwise(frames) if not a.error and not b.error]
+    neighbours = [*itertools.pairwise(frames)][:: 2 if paired else 1]
+    pairs = [(a, b) for a, b in neighbours if not a.error and not b.error]
     errors = [frame.error for frame in frames if frame.error]
     if not pairs:
         raise InputError(f"no two frames in a row can be used: {errors[0]}")
-    names = _compute(pairs, settings, manifest, jobs, [fault, *errors] if fault else errors)
+    hidden = None if mask is None else _mask(mask, pairs[0][0].shape)
+    if fields.suffixes:
+        fields.units.step(pairs[0][0].shape)
+    names = _compute(pairs, settings, manifest, jobs, [fault, *errors] if fault else errors, hidden)
     if names:
-        _draw(frames, names, manifest, jobs, max_motion, rate)
-    missing = len(frames) - 1 - len(names)
+        title = "Flow of each pair" if paired else "Flow from each frame to the next"
+        scale = _draw(frames, names, manifest, jobs, max_motion, rate, title)
+        _write_fields(names, manifest, jobs, fields, hidden, scale, settings)
+    missing = len(neighbours) - len(names)
     if missing:
-        console.complain(f"missing flows: {missing} of {len(frames) - 1}; the same command tries them again")
+        console.complain(f"missing flows: {missing} of {len(neighbours)}; the same command tries them again")
     return not missing and not fault
 
 
@@ -109,7 +132,16 @@ def _settings(overrides: Sequence[str], method: str | None) -> Settings:
     return Settings(given, chosen, params, digest, name)
 
 
-def _require_apart(words: Sequence[str], paths: Sequence[Path], manifest: Manifest) -> None:
+def _mask(path: Path, size: tuple[int, ...]) -> Mask:
+    from fracbench.commands.estimate import not_black, of_size
+    from fracbench.data.files import read_image
+
+    return Mask(of_size(size, path, "mask", not_black(read_image(path))), file_digest(path))
+
+
+def _require_apart(
+    words: Sequence[str], paths: Sequence[Path], manifest: Manifest, fields: SequenceFields
+) -> None:
     """Refuse an output folder where flows would meet frames, each other, or files that somebody else wrote."""
     folder = manifest.folder
     stems: dict[str, Path] = {}
@@ -121,7 +153,11 @@ def _require_apart(words: Sequence[str], paths: Sequence[Path], manifest: Manife
         if f"{path.stem}.png" == SHEET:
             raise InputError(f"{path}: its flow would be drawn in {SHEET}, which is the contact sheet; rename it")
         stems[path.stem] = path
-    written = [*(f"{stem}{suffix}" for stem in stems for suffix in (".flo", ".png")), SHEET, VIDEO]
+    suffixes = (".flo", ".png", *fields.suffixes)
+    written = [*(f"{stem}{suffix}" for stem in stems for suffix in suffixes), SHEET, VIDEO]
+    for name, count in Counter(written).items():
+        if count > 1:
+            raise InputError(f"{folder / name}: two frames would write this file; rename one of them")
     for word in words:
         if not os.path.lexists(word) and any(_matches(folder / name, word) for name in written):
             raise InputError(f"{folder}: {word!r} would match the pictures in this output folder too")
@@ -198,16 +234,23 @@ def _look(paths: Sequence[Path], jobs: int) -> list[Frame]:
 
 
 def _compute(
-    pairs: Sequence[tuple[Frame, Frame]], settings: Settings, manifest: Manifest, jobs: int, errors: Sequence[str]
+    pairs: Sequence[tuple[Frame, Frame]],
+    settings: Settings,
+    manifest: Manifest,
+    jobs: int,
+    errors: Sequence[str],
+    mask: Mask | None,
 ) -> list[str]:
     """Compute the flows that are missing, print their number and the failures, and return all names."""
     from fracbench.api import estimate_flow
 
     folder = manifest.folder.absolute()
-    made_from = {a.path.stem: {"frames": [a.digest, b.digest], "settings": settings.digest} for a, b in pairs}
+    same = {"settings": settings.digest, "mask": mask.digest if mask else None}
+    made_from = {a.path.stem: {"frames": [a.digest, b.digest], **same} for a, b in pairs}
+    given = {**settings.given, **({"mask": mask.pixels} if mask else {})}
     why = {name: manifest.why(f"{name}.flo", made, "speed") for name, made in made_from.items()}
     calls = [
-        (a.path, b.path, folder / f"{a.path.stem}.flo", settings.given, made_from[a.path.stem])
+        (a.path, b.path, folder / f"{a.path.stem}.flo", given, made_from[a.path.stem])
         for a, b in pairs
         if why[a.path.stem]
     ]
@@ -217,7 +260,7 @@ def _compute(
         compile_for([(settings.method.name, settings.params)], errors=False)
         # Refuses settings and sizes that no flow can have.
         blank = np.zeros([min(n, _TRIAL) for n in pairs[0][0].shape])
-        estimate_flow(blank, blank, **settings.given)
+        estimate_flow(blank, blank, mask=(blank > 0) if mask else None, **settings.given)
     manifest.begin()
     for error in errors:
         console.complain(error)
@@ -251,8 +294,12 @@ def _draw(
     jobs: int,
     max_motion: float | None,
     rate: float,
-) -> None:
-    """Draw all flows on one colour scale, then the contact sheet and, with the extra `video`, the video."""
+    title: str,
+) -> float:
+    """Draw all flows on one colour scale, the contact sheet and, with the extra `video`, the video.
+
+    Return the scale, the speed of the full colours in pixels.
+    """
     import numpy as np
 
     from fracbench.data.files import atomic_path, read_image
@@ -274,17 +321,59 @@ def _draw(
     def picture(name: str) -> Any:
         return read_image(folder / f"{name}.png")
 
-    title = f"Flow from each frame to the next, {len(names)} in all"
     shown = [(name, picture(name)) for name in chosen(names)]
     first = next(frame.path for frame in frames if frame.path.stem == names[0])
     with atomic_path(folder / SHEET) as temporary:
-        temporary.write_bytes(render(contact_sheet(read_image(first), shown, scale, title), "png"))
+        temporary.write_bytes(
+            render(contact_sheet(read_image(first), shown, scale, f"{title}, {len(names)} in all"), "png")
+        )
     console.say(f"wrote {folder / SHEET}")
     if files.has_video():
         files.write_video(folder / VIDEO, map(picture, names), rate)
         console.say(f"wrote {folder / VIDEO}")
     else:
         console.note("note: no video of the colours is written: pip install 'fracbench[video]'")
+    return scale
+
+
+def _write_fields(
+    names: Sequence[str],
+    manifest: Manifest,
+    jobs: int,
+    fields: SequenceFields,
+    mask: Mask | None,
+    scale: float,
+    settings: Settings,
+) -> None:
+    """Write the files of the velocity fields, their pictures on one colour scale."""
+    import numpy as np
+
+    if not fields.suffixes:
+        return
+    hidden = mask.pixels if mask else None
+    folder = manifest.folder.absolute()
+    flows = [folder / f"{name}.flo" for name in names]
+    top_vorticity = None
+    if fields.vorticity:
+        calls = [(flow, fields, hidden) for flow in flows]
+        tops = [*_in_processes(_top_vorticity, calls, jobs, "vorticity")]
+        top_vorticity = float(np.quantile(tops, _FLOWS, method="higher"))
+    source = f"fracbench, {settings.name}"
+    shown = {"units": [*fields.units], "source": source, "mask": mask.digest if mask else None}
+    tops_of = {".arrows.png": scale, ".vorticity.png": top_vorticity}
+    todo = []
+    for name in names:
+        made_from = {
+            suffix: {"flow": manifest.entries[f"{name}.flo"]["digest"], "top": tops_of.get(suffix), **shown}
+            for suffix in fields.suffixes
+        }
+        new = {each: made for each, made in made_from.items() if manifest.why(f"{name}{each}", made)}
+        if new:
+            todo.append((folder / name, new, fields, hidden, source))
+    for _ in _in_processes(_write_field, todo, jobs, "fields"):
+        pass
+    told = ", ".join(f"NAME{suffix}" for suffix in fields.suffixes)
+    console.say(f"wrote the velocity fields ({told}) to {manifest.folder}")
 
 
 def _in_processes(function: Any, calls: Sequence[tuple[Any, ...]], jobs: int, label: str) -> Iterable[Any]:
@@ -341,3 +430,28 @@ def _paint(stem: Path, made_from: dict[str, Any], scale: float) -> None:
     picture = stem.with_name(f"{stem.name}.png")
     write_image(picture, flow_to_color(read_flow(stem.with_name(f"{stem.name}.flo")), scale))
     add_entry(picture, made_from)
+
+
+def _top_vorticity(flow: Path, fields: SequenceFields, mask: NDArray[Any] | None) -> float:
+    from fracbench.commands.field_output import to_field
+    from fracbench.data.files import read_flow
+    from fracbench.figures.fields import top_vorticity
+
+    return top_vorticity(to_field(read_flow(flow), fields.units, mask))
+
+
+def _write_field(
+    stem: Path,
+    made_from: dict[str, dict[str, Any]],
+    fields: SequenceFields,
+    mask: NDArray[Any] | None,
+    source: str,
+) -> None:
+    """Write the files of the suffixes in `made_from`."""
+    from fracbench.commands.field_output import to_field
+    from fracbench.data.files import read_flow
+
+    field = to_field(read_flow(stem.with_name(f"{stem.name}.flo")), fields.units, mask)
+    tops = {suffix: made["top"] for suffix, made in made_from.items()}
+    for path in fields.write(stem, field, tops, source):
+        add_entry(path, made_from[path.name.removeprefix(stem.name)])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -96,6 +97,42 @@ class FieldFiles(NamedTuple):
             _draw(arrow_figure(field, grid, top_speed), self.arrows)
         if self.vorticity is not None:
             _draw(vorticity_figure(field, top_vorticity), self.vorticity)
+
+
+class SequenceFields(NamedTuple):
+    """The kinds of files of a field that are written for each flow of a clip, and their units."""
+
+    arrows: bool = False
+    vorticity: bool = False
+    csv: bool = False
+    netcdf: bool = False
+    units: Units = Units()
+
+    @property
+    def suffixes(self) -> tuple[str, ...]:
+        """The ends of the files' names, after that of the first frame."""
+        return tuple(suffix for wanted, suffix in zip(self, _SUFFIXES, strict=False) if wanted)
+
+    def require(self) -> None:
+        """Refuse units that no field can have, and NetCDF without its package."""
+        from fracbench.data.field import require_netcdf
+
+        self.units.require(bool(self.suffixes))
+        if self.netcdf:
+            require_netcdf("--netcdf")
+
+    def write(self, stem: Path, field: Field, tops: Mapping[str, float | None], source: str) -> list[Path]:
+        """Write the files whose suffixes are in `tops`: ends of their colour scales in px and the field's rate."""
+        paths = [stem.with_name(f"{stem.name}{suffix}") if suffix in tops else None for suffix in _SUFFIXES]
+        files = FieldFiles(*paths)
+        top_speed = (tops.get(_SUFFIXES[0]) or 1.0) * (self.units.scale or 1.0) / (self.units.dt or 1.0)
+        top_vorticity = tops.get(_SUFFIXES[1])
+        grid = self.units.step(field.u.shape)
+        files.write(field, grid, source, top_speed=top_speed, top_vorticity=top_vorticity)
+        return files.paths
+
+
+_SUFFIXES = (".arrows.png", ".vorticity.png", ".csv", ".nc")
 
 
 def _draw(figure: Any, path: Path) -> None:

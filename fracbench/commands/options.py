@@ -48,6 +48,11 @@ EXAMPLES = {
     "methods": ("", ""),
 }
 
+_AXES = (
+    "Axes of these files: x to the right, y and v up, origin at the lower left corner; pixels, and with --scale "
+    "and --dt mm, mm/s and 1/s. Vorticity is positive counter-clockwise."
+)
+
 _KEYS: dict[str, Any] = {"nargs": "*", "metavar": "KEY=VALUE"}
 _NUMBER: dict[str, Any] = {"type": int, "metavar": "N"}
 _FILE: dict[str, Any] = {"type": Path, "metavar": "FILE"}
@@ -166,14 +171,20 @@ def _add_flows(add: _Add) -> None:
     clip.add_argument(
         "--max-motion", type=float, metavar="PX", help="speed of the full colours (default: from the flows)"
     )
+    clip.add_argument("--pairs", action="store_true", help="frames 1 and 2, 3 and 4, ... are pairs, as in PIV")
+    clip.add_argument(
+        "--mask", help="picture that is not black where the pixels of all frames do not count", **_FILE
+    )
+    field = clip.add_argument_group("velocity fields", textwrap.fill(f"One file a flow, on one colour scale. {_AXES}", 78))
+    field.add_argument("--arrows", action="store_true", help="write NAME.arrows.png: arrows over the magnitude")
+    field.add_argument("--vorticity", action="store_true", help="write NAME.vorticity.png")
+    field.add_argument("--csv", action="store_true", help="write NAME.csv with OpenPIV's columns")
+    field.add_argument("--netcdf", action="store_true", help="write NAME.nc, all pixels (extra piv)")
+    _add_units(field)
 
 
 def _add_field(estimate: argparse.ArgumentParser) -> None:
-    field = estimate.add_argument_group(
-        "velocity field, e.g. of particle images",
-        "Axes of these files: x to the right, y and v up, origin at the lower left corner; pixels, and with "
-        "--scale and --dt mm, mm/s and 1/s. Vorticity is positive counter-clockwise.",
-    )
+    field = estimate.add_argument_group("velocity field, e.g. of particle images", textwrap.fill(_AXES, 78))
     field.add_argument("--arrows", help="arrows over the magnitude, .png or .pdf", **_FILE)
     field.add_argument("--vorticity", help="colour picture of the vorticity, .png or .pdf", **_FILE)
     field.add_argument(

@@ -14,7 +14,7 @@ from fracbench.data.files import write_image
 @pytest.fixture
 def files(images) -> Path:
     """Two good frames in ``clip``, and what is none."""
-    for folder in ("clip", "other", "empty", "done", "broken", "alone", "sheet", "tiny", "thin"):
+    for folder in ("clip", "other", "empty", "done", "broken", "alone", "sheet", "tiny", "thin", "names"):
         (images / folder).mkdir()
     for i in (1, 2):
         frame = np.full((24, 32), 90 + i, np.uint8)
@@ -25,6 +25,9 @@ def files(images) -> Path:
         write_image(images / f"thin/f{i}.png", frame[:, :1])
         (images / f"broken/f{i}.png").write_text("not a picture")
     write_image(images / "alone/f1.png", frame)
+    write_image(images / "small.png", frame[:-1])
+    for name in ("f", "f.arrows"):
+        write_image(images / f"names/{name}.png", frame)
     (images / "empty/notes.txt").write_text("no picture")
     (images / "done/f1.flo").write_text("somebody's truth")
     (images / "file").write_text("a file")
@@ -60,6 +63,21 @@ def files(images) -> Path:
         (["clip", "--max-motion", "0"], "--max-motion must be a positive number of pixels, got 0"),
         (["clip", "--max-motion", "nan"], "--max-motion must be a positive number of pixels, got nan"),
         (["clip", "--max-motion", "fast"], "argument --max-motion: invalid float value: 'fast'"),
+        (
+            ["clip", "small.png", "--pairs"],
+            "--pairs takes an even number of frames, got 3; the last is small.png",
+        ),
+        (
+            ["clip", "--mask", "small.png"],
+            "small.png: the mask is 32 x 23, the frames are 32 x 24 (width x height)",
+        ),
+        (["clip", "--mask", "broken/f1.png"], "broken/f1.png: not a picture that can be read"),
+        (["clip", "--mask"], "argument --mask: expected one argument"),
+        (["clip", "--csv", "--scale", "0"], "--scale must be a positive number of mm a pixel, got 0"),
+        (["clip", "--csv", "--dt", "-1"], "--dt must be a positive number of seconds, got -1"),
+        (["clip", "--arrows", "--grid", "48"], "--grid 48: no vector of it is within frames of 32 x 24 pixels"),
+        (["clip", "--grid", "8"], "--grid belongs to --arrows, --vorticity, --csv and --netcdf: give one of them"),
+        (["names", "--arrows"], "out/f.arrows.png: two frames would write this file; rename one of them"),
         (["clip", "--threads", "2"], "unexpected argument '--threads'"),
     ],
 )
@@ -88,6 +106,12 @@ def test_clips_that_cannot_be_used(files, refused, words, named):
 )
 def test_output_folders_that_cannot_be_used(files, refused, words, output, named):
     refused(files, ["estimate-sequence", *words, "-o", output, "--jobs", "1"], named)
+
+
+def test_fields_without_xarray(files, refused, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    named = "--netcdf: NetCDF needs xarray: pip install 'fracbench[piv]'"
+    refused(files, ["estimate-sequence", "clip", "-o", "out", "--netcdf"], named)
 
 
 def test_a_manifest_that_is_a_folder(files, refused):

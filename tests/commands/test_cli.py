@@ -428,6 +428,18 @@ def test_the_grid_of_a_field_is_16_pixels_by_default(cli, images):
     assert [line.split("\t")[:2] for line in lines[1:]] == [["8.5", "15.5"], ["24.5", "15.5"]]
 
 
+def test_frames_that_are_smaller_than_the_grid_need_no_field(cli, work):
+    for name in "ab":
+        write_image(f"{name}.png", np.full((6, 7), 90, np.uint8))
+    assert cli("estimate", "a.png", "b.png", "-o", "flow.flo", "max_iter=2").code == EXIT_DONE
+    done = cli("estimate", "a.png", "b.png", "-o", "flow.flo", "max_iter=2", "--csv", "f.csv")
+    assert (done.code, done.err) == (
+        EXIT_INPUT, "fracbench: --grid 16: no vector of it is within frames of 7 x 6 pixels\n",
+    )  # fmt: skip
+    small = ("--csv", "f.csv", "--grid", "4")
+    assert cli("estimate", "a.png", "b.png", "-o", "flow.flo", "max_iter=2", *small).code == EXIT_DONE
+
+
 @pytest.mark.parametrize(("suffix", "bits"), [(".tif", 8), (".tif", 16), (".bmp", 8)])
 def test_frames_of_piv_cameras_give_the_flow_of_the_same_png(cli, images, suffix, bits):
     for name in "ab":

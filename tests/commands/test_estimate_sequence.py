@@ -21,6 +21,7 @@ from fracbench.data import clip as clips
 from fracbench.data.files import read_flow, read_image, write_image
 from fracbench.data.manifest import MANIFEST
 from fracbench.errors import RESUME, InputError
+from fracbench.figures import fields as figures
 from fracbench.figures.flowcolor import flow_to_color
 
 QUICK = ("n_scales=1", "n_warps=1", "max_iter=2", "--jobs", "1")
@@ -342,3 +343,90 @@ def test_the_help_names_every_option(cli):
     said = cli("estimate-sequence", "--help").out
     for word in ("FRAMES", "--output", "--jobs", "--method", "--max-motion", "protocol=accurate"):
         assert word in said
+
+
+# -- velocity fields -----------------------------------------------------------------------------
+
+FIELDS = ("--arrows", "--vorticity", "--csv", "--netcdf", "--grid", "8", "--scale", "0.5", "--dt", "0.1")
+
+
+def test_every_flow_has_the_files_of_its_field_on_one_colour_scale(cli, clip, monkeypatch):
+    xarray = pytest.importorskip("xarray")
+    drawn = []
+    draw = figures.arrow_figure, figures.vorticity_figure
+    for i, name in enumerate(("arrow_figure", "vorticity_figure")):
+        monkeypatch.setattr(figures, name, lambda *args, i=i: drawn.append((i, args[-1])) or draw[i](*args))
+    mask = np.zeros((24, 32), np.uint8)
+    mask[:5, :7] = 255
+    write_image("mask.png", mask)
+    done = cli("estimate-sequence", "clip", "-o", "out", "--mask", "mask.png", *FIELDS, *QUICK)
+    assert done.code == EXIT_DONE
+    told = "wrote the velocity fields (NAME.arrows.png, NAME.vorticity.png, NAME.csv, NAME.nc) to out"
+    assert told in done.out
+    assert len(drawn) == 8
+    assert [top for i, top in drawn if i == 0] == pytest.approx([5 * max_speed(clip / "out")] * 4)
+    tops = [top for i, top in drawn if i == 1]
+    turning = []
+    for i, name in enumerate(NAMES, start=8):
+        expected = estimate_flow(frame(i), frame(i + 1), mask=mask > 0, n_scales=1, n_warps=1, max_iter=2)
+        np.testing.assert_array_equal(read_flow(f"out/{name}.flo"), expected.flow)
+        with xarray.open_dataset(f"out/{name}.nc") as read:
+            np.testing.assert_array_equal(read.mask[::-1], mask > 0)
+            np.testing.assert_allclose(read.v[::-1].values[mask == 0], -5 * expected.flow[1][mask == 0], rtol=1e-6)
+            turning.append(float(np.nanquantile(abs(read.vorticity), 0.999)))
+        table = np.loadtxt(f"out/{name}.csv", delimiter=",", skiprows=1)
+        assert table.shape == (12, 6)
+    assert tops == pytest.approx([max(turning)] * 4, rel=1e-5)
+
+
+def max_speed(folder: Path) -> float:
+    """The largest of the speeds that 99.9 % of the pixels of a flow keep below, pixels."""
+    return max(float(np.quantile(np.hypot(*read_flow(path)), 0.999)) for path in folder.glob("*.flo"))
+
+
+def test_fields_are_kept_and_made_again_where_something_changed(cli, clip):
+    words = ("estimate-sequence", "clip", "-o", "out", *QUICK)
+    fields = ("--csv", "--arrows", "--grid", "8")
+    assert cli(*words).code == EXIT_DONE
+    without = files(clip / "out")
+    done = cli(*words, *fields)
+    assert ", flows: 0 computed, 4 kept\n" in done.out
+    before = {path.name: path.stat().st_mtime_ns for path in (clip / "out").glob("f*")}
+    assert {name for name in before if name not in without} == {
+        f"{name}{suffix}" for name in NAMES for suffix in (".csv", ".arrows.png")
+    }
+    cli(*words, *fields)
+    assert before == {path.name: path.stat().st_mtime_ns for path in (clip / "out").glob("f*")}
+    (clip / "out/f9.csv").unlink()
+    cli(*words, *fields)
+    changed = {path.name for path in (clip / "out").glob("f*") if before[path.name] != path.stat().st_mtime_ns}
+    assert changed == {"f9.csv"}
+    cli(*words, *fields, "--dt", "0.5")
+    first = np.loadtxt("out/f8.csv", delimiter=",", skiprows=1)
+    flow = read_flow("out/f8.flo")
+    assert tuple(first[0, 2:4]) == (pytest.approx(2 * flow[0, 4, 4]), pytest.approx(-2 * flow[1, 4, 4]))
+
+
+def test_another_mask_is_another_flow(cli, clip, computed):
+    words = ("estimate-sequence", "clip", "-o", "out", *QUICK)
+    for name, side in (("one", 5), ("two", 9)):
+        mask = np.zeros((24, 32), np.uint8)
+        mask[:side, :side] = 255
+        write_image(f"{name}.png", mask)
+    cli(*words, "--mask", "one.png")
+    assert computed == NAMES
+    assert "(4 mask changed)" in cli(*words, "--mask", "two.png").out
+    assert ", flows: 0 computed, 4 kept" in cli(*words, "--mask", "two.png").out
+    assert "(4 mask changed)" in cli(*words).out
+
+
+def test_pairs_have_a_flow_from_each_first_frame_to_its_second(cli, clip):
+    Path("clip/f12.png").unlink()
+    done = cli("estimate-sequence", "clip", "-o", "out", "--pairs", *QUICK)
+    assert done.code == EXIT_DONE and ", flows: 2 computed (2 new), 0 kept\n" in done.out
+    assert {path.stem for path in Path("out").glob("*.flo")} == {"f8", "f10"}
+    expected = estimate_flow(frame(10), frame(11), n_scales=1, n_warps=1, max_iter=2)
+    np.testing.assert_array_equal(read_flow("out/f10.flo"), expected.flow)
+    Path("clip/f9.png").write_bytes(b"")
+    done = cli("estimate-sequence", "clip", "-o", "other", "--pairs", *QUICK)
+    assert done.code == EXIT_FAILED and "missing flows: 1 of 2;" in done.err
