@@ -31,6 +31,8 @@ RESERVED = frozenset({
 #: Arguments of `estimate_flow` that a method may take.
 OPTIONS = frozenset({"mask", "initial_flow"})
 _ALL: Any = None
+#: Modules that belong to another extra of this project than `peers`.
+_EXTRAS = {"openpiv": "piv"}
 _NAME = re.compile(r"[A-Za-z]\w{0,79}", re.ASCII)
 
 
@@ -191,9 +193,8 @@ class Method:
         """Return the method itself, if all that it needs is installed; else `InputError` says how to get it."""
         for module in self.requires:
             if importlib.util.find_spec(module) is None:
-                remedy = (
-                    f"it is not installed ({self.origin})" if self.package else "pip install 'fracbench[peers]'"
-                )
+                extra = f"pip install 'fracbench[{_EXTRAS.get(module, 'peers')}]'"
+                remedy = f"it is not installed ({self.origin})" if self.package else extra
                 raise InputError(f"method {self.name!r} needs {module}: {remedy}")
         return self
 

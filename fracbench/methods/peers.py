@@ -1,6 +1,7 @@
 """Other programs as methods, each with its own defaults.
 
-OpenCV is given 8-bit frames, its native input; scikit-image frames scaled to 0..1, as its defaults expect.
+OpenCV is given 8-bit frames, its native input; scikit-image frames scaled to 0..1, as its defaults expect; OpenPIV
+the frames as they are.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
+from fracbench.errors import InputError
 from fracbench.methods.method import Method, fields_of
 from fracbench.model.params import public_name
 
@@ -18,6 +20,10 @@ if TYPE_CHECKING:
 IPOL_ATTACHMENT = 0.15 * 255.0
 #: Threads that OpenCV may use. One, so that tables do not depend on the machine; the benchmark sets others.
 opencv_threads = 1
+#: Sides of OpenPIV's interrogation windows in pixels, pass by pass; each overlaps half of its neighbour.
+WINDOWS = (64, 32, 16)
+#: The least side of a frame: OpenPIV passes a cubic spline through the first vectors, at least 4 on each line.
+_LEAST_SIDE = 5 * WINDOWS[0] // 2
 
 
 @dataclass(frozen=True)
@@ -58,6 +64,23 @@ class Ilk:
     """Parameters of scikit-image's iterative Lucas-Kanade."""
 
     radius: int = 7
+
+
+@dataclass(frozen=True)
+class OpenPIV:
+    """Parameters of OpenPIV's multi-pass cross-correlation.
+
+    The first `passes` of `WINDOWS` are made. With ``deformation="second_image"`` the displacement at x is that of
+    the particle which is at x in frame 0, as in every other method here; with OpenPIV's default ``"symmetric"`` it
+    is that of the particle which is at x halfway between the frames.
+    """
+
+    passes: int = 3
+    deformation: Literal["second_image", "symmetric"] = "second_image"
+
+    def __post_init__(self) -> None:
+        if not 2 <= self.passes <= len(WINDOWS):
+            raise ValueError(f"`passes` must be within 2..{len(WINDOWS)}, got {self.passes}")
 
 
 def _opencv_tvl1(frame0: Array, frame1: Array, params: DualTVL1) -> Array:
@@ -107,6 +130,44 @@ def _skimage_ilk(frame0: Array, frame1: Array, params: Ilk) -> Array:
     from skimage.registration import optical_flow_ilk
 
     return optical_flow_ilk(*_to_unit(frame0, frame1), radius=params.radius)[::-1]
+
+
+def _openpiv(frame0: Array, frame1: Array, params: OpenPIV) -> Array:
+    """Return the vectors of the last pass, interpolated to all pixels by a cubic spline through them.
+
+    The spline is the one by which OpenPIV deforms its windows; beyond the outermost vectors it is constant.
+    """
+    import numpy as np
+    from scipy.interpolate import RectBivariateSpline
+
+    if min(frame0.shape) < _LEAST_SIDE:
+        shape = " x ".join(map(str, frame0.shape))
+        raise InputError(f"method 'openpiv' needs frames of at least {_LEAST_SIDE} x {_LEAST_SIDE}, got {shape}")
+    x, y, vectors = _openpiv_vectors(frame0, frame1, params)
+    rows, cols = (np.clip(np.arange(n), at[0], at[-1]) for n, at in zip(frame0.shape, (y, x), strict=True))
+    return np.stack([RectBivariateSpline(y, x, part)(rows, cols) for part in vectors])
+
+
+def _openpiv_vectors(frame0: Array, frame1: Array, params: OpenPIV) -> tuple[Array, Array, Array]:
+    """Return where OpenPIV's vectors are, x and y in pixels, and the vectors, (2, len(y), len(x)), y down."""
+    import contextlib
+    import io
+
+    import numpy as np
+    from openpiv import windef
+
+    windows = WINDOWS[: params.passes]
+    settings = windef.PIVSettings(
+        windowsizes=windows,
+        overlap=tuple(side // 2 for side in windows),
+        num_iterations=len(windows),
+        deformation_method=params.deformation.replace("_", " "),
+        backend="scipy",  # by default that of another package, where it is installed
+    )
+    with contextlib.redirect_stdout(io.StringIO()):  # it prints how many vectors it replaced
+        x, y, u, v, _ = windef.simple_multipass(np.asarray(frame0), np.asarray(frame1), settings)
+    # OpenPIV's y axis points up: rows come from the top, their y from the bottom.
+    return x[0], y[::-1, 0], np.stack((u, -v))
 
 
 def _to_unit(*frames: Array) -> tuple[Array, ...]:
@@ -179,5 +240,13 @@ PEERS = (
         _skimage_ilk,
         Ilk,
         "skimage",
+    ),
+    _peer(
+        "openpiv",
+        "OpenPIV",
+        "cross-correlation with window deformation, windows of 64, 32 and 16 pixels",
+        _openpiv,
+        OpenPIV,
+        "openpiv",
     ),
 )
