@@ -175,7 +175,8 @@ def _add_flows(add: _Add) -> None:
     clip.add_argument(
         "--mask", help="picture that is not black where the pixels of all frames do not count", **_FILE
     )
-    field = clip.add_argument_group("velocity fields", textwrap.fill(f"One file a flow, on one colour scale. {_AXES}", 78))
+    axes = textwrap.fill(f"One file a flow, on one colour scale. {_AXES}", 78)
+    field = clip.add_argument_group("velocity fields", axes)
     field.add_argument("--arrows", action="store_true", help="write NAME.arrows.png: arrows over the magnitude")
     field.add_argument("--vorticity", action="store_true", help="write NAME.vorticity.png")
     field.add_argument("--csv", action="store_true", help="write NAME.csv with OpenPIV's columns")
