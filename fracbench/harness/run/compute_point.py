@@ -19,6 +19,7 @@ from fracbench.data.regions import Crop, crop
 from fracbench.entry_points import described
 from fracbench.errors import FracbenchError, InputError
 from fracbench.evaluation.class_errors import errors_by_class, errors_by_mask
+from fracbench.evaluation.fluid_errors import GRID, derivative_errors, errors_by_gradient, grid_points
 from fracbench.evaluation.metrics import flow_errors, outliers
 from fracbench.harness.run import provenance
 from fracbench.harness.run.message import Outcome
@@ -111,7 +112,25 @@ def _errors(point: Point, folder: Path | None, flow: Any, truth: Any) -> dict[st
     if pair.matched is not None:
         masks = {"matched": pair.matched[inside], "unmatched": ~pair.matched[inside]}
         result["masks"] = {name: vars(found) for name, found in errors_by_mask(flow, truth, masks).items()}
+    if point.score == "fluid":
+        result |= _fluid(point, flow, truth)
     return result
+
+
+def _fluid(point: Point, flow: Any, truth: Any) -> dict[str, Any]:
+    """Return the errors of derivatives, of all pixels and on the grid of a cross-correlation, and by gradient."""
+    box = point.region
+    start = (0, 0) if box is None else tuple(min(point.context, begin) for begin, _ in (box.rows, box.cols))
+    on_grid = (slice(None), *grid_points((start[0], start[1]), flow.shape[1:]))
+    coarse, true = flow[on_grid], truth[on_grid]
+    grid = {"aepe": flow_errors(coarse, true).aepe, **vars(derivative_errors(coarse, true, GRID))}
+    return {
+        "fluid": {
+            **vars(derivative_errors(flow, truth)),
+            **{f"{name}_grid": value for name, value in grid.items()},
+        },
+        "gradients": errors_by_gradient(flow, truth),
+    }
 
 
 def _divergence(name: str, frame0: Any, frame1: Any, flow: Any, params: Any, stop: str, n_bad: int) -> str | None:

@@ -40,6 +40,7 @@ def tidy(plan: Plan, rows: Mapping[str, Row]) -> pd.DataFrame:
             record.update({f"{metric}_{name}": errors[metric] for metric in METRICS})
         if "fl_all" in result:
             record["fl_all"] = result["fl_all"]
+        record.update(result.get("fluid", {}))
         record["iterations"] = _total(result.get("iterations"))
         record["inner_iterations"] = _total(result.get("inner_iterations"))
         record["stop"] = result.get("stop")

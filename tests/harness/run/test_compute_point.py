@@ -14,6 +14,7 @@ from fracbench.data.datasets.synthetic import scenes as synthetic
 from fracbench.data.pair import FramePair
 from fracbench.data.regions import Region
 from fracbench.errors import InputError
+from fracbench.evaluation.fluid_errors import derivative_errors, errors_by_gradient
 from fracbench.evaluation.metrics import flow_errors
 from fracbench.harness.run import compute_point
 from fracbench.harness.run.compute_point import point_arrays, run_point
@@ -286,3 +287,21 @@ def test_errors_are_counted_within_the_classes_of_the_first_frame():
     assert len(expected) >= 2
     assert scored["classes"] == {name: vars(errors) for name, errors in expected.items()}
     assert "classes" not in run_point(plain, None).result
+
+
+def test_errors_of_fluids_are_those_of_derivatives_and_of_the_grid_of_the_frame():
+    plain = a_point(box=(20, 80, 40, 100), context=10)
+    scored = run_point(dataclasses.replace(plain, score="fluid"), None).result
+    scene = synthetic.scene("edge")
+    around = slice(10, 90), slice(30, 110)
+    flow = estimate_flow(scene.frame0[around], scene.frame1[around], method="tvl1", **QUICK).flow[:, 10:70, 10:70]
+    truth = scene.truth[:, 20:80, 40:100]
+    # the box begins at pixel 10 of the part that is computed on: its first multiple of 8 is 16
+    grid = (slice(None), slice(6, None, 8), slice(6, None, 8))
+    on_grid = {"aepe": flow_errors(flow[grid], truth[grid]).aepe} | vars(
+        derivative_errors(flow[grid], truth[grid], 8.0)
+    )
+    expected = vars(derivative_errors(flow, truth)) | {f"{name}_grid": value for name, value in on_grid.items()}
+    assert scored["fluid"] == expected
+    assert scored["gradients"] == errors_by_gradient(flow, truth)
+    assert not {"fluid", "gradients"} & set(run_point(plain, None).result)
