@@ -21,6 +21,10 @@ class DataError(InputError):
     """A data set is missing, corrupt or unreadable."""
 
 
+class AbsentError(InputError):
+    """A program that a method needs is not installed."""
+
+
 def nearest(name: str, allowed: Iterable[str]) -> str | None:
     """Return the allowed name most like `name` without regard to case, or None if none is like it."""
     by_folded = {a.casefold(): a for a in allowed}

@@ -14,7 +14,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 from fracbench.entry_points import described
-from fracbench.errors import FracbenchError, InputError, unknown_name
+from fracbench.errors import AbsentError, FracbenchError, InputError, unknown_name
 from fracbench.model.params import FlowParams, coerce, public_name
 
 if TYPE_CHECKING:
@@ -190,12 +190,12 @@ class Method:
                 raise InputError(f"`{name}` must be in {allowed}, got {value:g}: {reason}")
 
     def require(self) -> Method:
-        """Return the method itself, if all that it needs is installed; else `InputError` says how to get it."""
+        """Return the method itself, if all that it needs is installed; else `AbsentError` says how to get it."""
         for module in self.requires:
             if importlib.util.find_spec(module) is None:
                 extra = f"pip install 'fracbench[{_EXTRAS.get(module, 'peers')}]'"
                 remedy = f"it is not installed ({self.origin})" if self.package else extra
-                raise InputError(f"method {self.name!r} needs {module}: {remedy}")
+                raise AbsentError(f"method {self.name!r} needs {module}: {remedy}")
         return self
 
     def compute(self, frame0: Any, frame1: Any, params: Any, *, trace: bool = False, **options: Any) -> FlowResult:

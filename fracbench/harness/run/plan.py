@@ -22,7 +22,7 @@ from fracbench.data.datasets.registry import (
 )
 from fracbench.data.files import refuse_links_out
 from fracbench.data.regions import Region, shifted
-from fracbench.errors import InputError, nearest, unknown_name
+from fracbench.errors import AbsentError, DataError, InputError, nearest, unknown_name
 from fracbench.harness.config.compose import (
     GROUPS,
     PARALLEL,
@@ -137,7 +137,9 @@ def plan_experiment(
 ) -> Plan:
     """Expand grids to one plan, with `settings` added to each; the label ``part`` names the grid of a point.
 
-    Without any grid the plan has no points, only the data set: for artefacts that show data or parameters.
+    A grid that names its dataset keeps it; where its data are not found, and where a program that a grid needs is
+    not installed, the grid is left out with a notice, unless none is left. Without any grid the plan has no
+    points, only the data set: for artefacts that show data or parameters.
     """
     pairs = _other_pairs(parse_overrides(settings))
     foreign = pairs is not None
@@ -145,33 +147,50 @@ def plan_experiment(
         one = [f"sequence='{pairs.names[0]}'"] if pairs else []  # not all of them: each is hashed
         plan = make_plan((*one, *settings), allow_download=allow_download, small=small)
         return replace(plan, points=(), varying=(), foreign=foreign)
-    if foreign:
-        grids = {
-            part: [token for token in grid if not token.startswith("sequence=")] for part, grid in grids.items()
-        }
-    plans = {
-        part: make_plan((*tokens, *settings), allow_download=allow_download, small=small)
-        for part, tokens in grids.items()
-    }
+    plans: dict[str, Plan] = {}
+    absent: dict[str, InputError] = {}
+    for part, grid in grids.items():
+        own = next((token for token in grid if token.startswith("dataset=")), None)
+        if own and pairs:
+            raise InputError(f"part {part!r} is of {own}, which dataset={pairs.dataset} cannot take the place of")
+        tokens = [token for token in grid if not (foreign and token.startswith("sequence="))]
+        tokens += [token for token in settings if not (own and token.startswith("dataset="))]
+        try:
+            plans[part] = make_plan(tokens, allow_download=allow_download, small=small)
+        except (AbsentError, DataError) as exc:
+            if not (own or isinstance(exc, AbsentError)):
+                raise
+            absent[part] = exc
+    if not plans:
+        raise next(iter(absent.values()))
     points = tuple(
         replace(planned, labels={"part": part, **planned.labels})
         for part, plan in plans.items()
         for planned in plan.points
     )
     first = next(iter(plans.values()))
-    real = next((plan for plan in plans.values() if plan.dataset == "middlebury"), first)
+    real = next((plan for plan in plans.values() if plan.dataset == "middlebury"), None)
+    real = real or next((plan for plan in plans.values() if plan.folder is not None), first)
     varying = tuple(dict.fromkeys(key for plan in plans.values() for key in plan.varying))
-    notices = tuple(dict.fromkeys(notice for plan in plans.values() for notice in plan.notices))
+    notices = dict.fromkeys(notice for plan in plans.values() for notice in plan.notices)
+    notices |= _left_out(absent)
     return replace(
         first,
         points=points,
         varying=varying,
-        notices=notices,
+        notices=tuple(notices),
         dataset=real.dataset,
         folder=real.folder,
         stand_in=any(plan.stand_in for plan in plans.values()),
         foreign=foreign,
     )
+
+
+def _left_out(absent: Mapping[str, InputError]) -> dict[str, None]:
+    """Return a notice for each reason, with the parts that are left out for it."""
+    reasons = dict.fromkeys(map(str, absent.values()))
+    parts = {reason: ", ".join(part for part in absent if str(absent[part]) == reason) for reason in reasons}
+    return dict.fromkeys(f"{reason} (left out: {names})" for reason, names in parts.items())
 
 
 def plan_artefact(

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib.util
 import os
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import fracbench
 from fracbench.data.datasets import middlebury as middlebury_data
 from fracbench.data.datasets.middlebury import SEQUENCES, Resolved
 from fracbench.data.datasets.synthetic import scenes as synthetic
+from fracbench.data.files import write_image
 from fracbench.errors import InputError
 from fracbench.harness.config.compose import group_options, load_config
 from fracbench.harness.run import point as point_module
@@ -404,6 +407,48 @@ def test_the_data_of_every_grid_count(middlebury_found):
     made = plan_experiment(grids)
     assert (made.dataset, made.folder, made.stand_in) == ("middlebury", Path("m"), False)
     assert plan_experiment(grids, ["dataset=synthetic"]).stand_in
+
+
+def test_a_grid_keeps_its_own_dataset():
+    grids = {"scenes": [FLAT], "fluids": ["dataset=particles", "sequence=shear"]}
+    made = plan_experiment(grids, ["dataset=synthetic"])
+    assert labels(made, "dataset") == ["synthetic", "particles"]
+    assert not made.foreign
+
+
+def test_a_part_whose_program_or_data_are_missing_is_left_out_and_named(monkeypatch, tmp_path):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setenv("FRACBENCH_PIV", str(tmp_path / "nowhere"))
+    ours, peer, other = (
+        ["dataset=particles", "sequence=shear", *more] for more in ([], ["method=opencv_dis"], [])
+    )
+    grids = {"ours": ours, "peer": peer, "again": peer, "public": ["dataset=piv"], "other": other}
+    made = plan_experiment(grids)
+    assert labels(made, "part") == ["ours", "other"]
+    program, data = made.notices
+    assert program == "method 'opencv_dis' needs cv2: pip install 'fracbench[peers]' (left out: peer, again)"
+    assert "nowhere" in data and data.endswith("(left out: public)")
+    with pytest.raises(InputError, match=r"^method 'opencv_dis' needs cv2: pip install 'fracbench\[peers\]'$"):
+        plan_experiment({"peer": peer})
+
+
+@pytest.fixture
+def a_pair(tmp_path):
+    (tmp_path / "a").mkdir()
+    for i in (0, 1):
+        write_image(tmp_path / "a" / f"frame{i}.png", np.eye(24, dtype=np.uint8))
+    return [f"paths.data={tmp_path}"]
+
+
+def test_the_folder_of_a_plan_is_that_of_the_part_that_has_files(a_pair, tmp_path):
+    grids = {"rendered": ["dataset=particles", "sequence=shear"], "files": ["dataset=folder"]}
+    made = plan_experiment(grids, a_pair)
+    assert made.folder == tmp_path and labels(made, "dataset") == ["particles", "folder"]
+
+
+def test_other_pairs_do_not_take_the_place_of_a_grids_own_dataset(a_pair):
+    with pytest.raises(InputError, match="part 'a' is of dataset=particles, which dataset=folder cannot take"):
+        plan_experiment({"a": ["dataset=particles"]}, ["dataset=folder", *a_pair])
 
 
 # -- notices and refusals ------------------------------------------------------------------------
