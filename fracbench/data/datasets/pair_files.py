@@ -3,6 +3,7 @@
 A file of a pair has a role: ``frame0``, ``frame1``; ``flow``, the true flow; and masks of the size of the frames.
 ``mask`` is an image that is 0 where the true flow does not count, ``invalid`` one that is 0 where it does,
 ``occluded`` one that is 0 at pixels visible in both frames. ``matched_flow`` is the true flow at those alone.
+``middle_flow``, in the place of ``flow``, is the displacement of what is at a pixel halfway between the frames.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 
 from fracbench.data import files
 from fracbench.data.datasets.base import Dataset, usual_places
+from fracbench.data.datasets.middle import at_frame0
 from fracbench.data.gray import to_gray
 from fracbench.data.pair import FramePair
 from fracbench.data.read_once import read_once, sha256
@@ -29,7 +31,7 @@ Roles = Mapping[str, str]
 T = TypeVar("T")
 
 MASKS = ("mask", "invalid", "occluded")
-_FLOWS = ("flow", "matched_flow")
+_FLOWS = ("flow", "matched_flow", "middle_flow")
 _LEVELS_16 = 65535 / 255
 
 
@@ -160,6 +162,8 @@ def _load(name: str, dataset: str, roles: Roles, folder: Path, digest: str) -> F
 
     first, second = decoded("frame0"), decoded("frame1")
     truth, matched = decoded("flow"), None
+    if "middle_flow" in roles:
+        truth = at_frame0(decoded("middle_flow"))
     if truth is not None:
         for role, counts in (("mask", True), ("invalid", False)):
             if role in roles:

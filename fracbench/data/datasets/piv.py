@@ -2,6 +2,11 @@
 
 Source: S. Cai, S. Zhou, C. Xu, Q. Gao, Dense motion estimation of particle images via a convolutional neural
 network, Experiments in Fluids 60:73, 2019.
+
+The file of a flow holds at x the displacement of the particle that is at x halfway between the frames: frame 0 at
+``x - u/2`` agrees with frame 1 at ``x + u/2`` better than frame 0 at x with frame 1 at ``x + u`` or frame 0 at
+``x - u`` with frame 1 at x (docs/datasets.md). The true flow of a pair is that displacement at the place of the
+particle in frame 0, as everywhere in this package.
 """
 
 from __future__ import annotations
@@ -32,7 +37,7 @@ def names(folder: Path) -> list[str]:
 def roles(name: str, folder: Path) -> Roles:
     """Return the files of a pair: both frames, and the true flow where it is."""
     frames = {f"frame{i}": f"{name}{end}" for i, end in enumerate(_FRAMES)}
-    return frames | ({"flow": f"{name}{_FLOW}"} if (folder / f"{name}{_FLOW}").exists() else {})
+    return frames | ({"middle_flow": f"{name}{_FLOW}"} if (folder / f"{name}{_FLOW}").exists() else {})
 
 
 DATASET = file_dataset(
