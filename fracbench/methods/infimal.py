@@ -74,7 +74,7 @@ def infimal_bregman(params: FlowParams, frame0: Array, smooth: Array) -> Infimal
         weights *= edge_weights(frame0, params.edge_decay, params.edge_power)
     multiplier = params.coupling == "multiplier"
     return InfimalBregman(
-        InfimalGradient((params.alpha, params.alpha_smooth), weights, frame0.dtype),
+        InfimalGradient((params.alpha, params.alpha_smooth), weights, frame0.dtype, params.smooth_penalty),
         params.coupling_step if multiplier else params.theta,
         params.lambda_sb,
         smooth,

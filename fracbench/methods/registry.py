@@ -23,7 +23,7 @@ _BEYOND = frozenset({
     "edge_power", "median_radius", "weighted_radius", "texture", "occlusion"
 })  # fmt: skip
 # Those of the flow in two parts.
-_INFIMAL = frozenset({"alpha_smooth", "smooth_weight"})
+_INFIMAL = frozenset({"alpha_smooth", "smooth_weight", "smooth_penalty"})
 _PYRAMID = frozenset(FlowParams.names()) - _BEYOND - _INFIMAL - {
     "alpha", "boundary", "pad", "tau", "lambda_sb", "u_solver", "inner", "tol", "max_inner", "coupling",
     "coupling_step", "relaxation"
@@ -161,6 +161,7 @@ register(
         (_BREGMAN | _BEYOND | _INFIMAL | {"alpha", "boundary"})
         - {"alpha_flat", "alpha_edge", "alpha_corner", "alpha_texture", "tol", "max_inner"},
         defaults={"alpha": 1.0, "n_warps": 5, "max_iter": 10},
+        younger={"smooth_penalty": 1.0},
     )
 )
 for _peer in PEERS:

@@ -129,6 +129,8 @@ class FlowParams:
     alpha_smooth: float = _param(1.5, "order of the second part q of the flow u = p + q; alpha is that of p",
                                  low=0.0, high=4.0)
     smooth_weight: float = _param(2.0, "weight of the second part's regularity", low=0.0, open_low=True)
+    smooth_penalty: float = _param(1.0, "split Bregman penalty of the second part, as a multiple of lambda_sb",
+                                   low=0.0, open_low=True)
     # fmt: on
 
     def __post_init__(self) -> None:

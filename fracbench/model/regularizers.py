@@ -224,6 +224,8 @@ class InfimalBregman(SplitBregman):
         self, operator: InfimalGradient, theta: float, mu: float, smooth: Array, *, relaxation: float = 1.0
     ) -> None:
         super().__init__(operator, theta, mu, relaxation=relaxation)
+        penalties = operator.penalties.astype(operator.dtype)[:, None, None]
+        self._threshold = np.maximum(self._threshold / penalties, self._least)
         self._parts = aligned((2, *smooth.shape), operator.dtype)  # by component of the flow, then p and q
         self._parts[:, 1] = smooth
 

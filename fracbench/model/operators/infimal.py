@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -27,7 +28,20 @@ class InfimalGradient(MappedGradient):
     ----------
     alphas, weights, dtype
         As of `MappedGradient`, for p and q.
+    smooth_penalty : float
+        Split Bregman penalty of q as a multiple of that of p. It changes the speed of convergence, not the
+        minimum: derivatives of the higher order are smaller, so that their shrinkage needs a smaller threshold.
     """
+
+    def __init__(
+        self,
+        alphas: Sequence[float],
+        weights: Array,
+        dtype: np.dtype | type = np.float64,
+        smooth_penalty: float = 1.0,
+    ) -> None:
+        super().__init__(alphas, weights, dtype)
+        self.penalties = np.array([1.0, smooth_penalty])
 
     def apply(self, u: Array) -> Array:
         return np.concatenate([order.apply(part) for order, part in zip(self._orders, u, strict=True)])
@@ -50,14 +64,15 @@ class InfimalGradient(MappedGradient):
             order.differentiate(part, into)
 
     def factor(self, theta: float, mu: float) -> System:
-        """Return ``mu ly`` and ``mu lx`` of both parts, shapes ``(2, H)`` and ``(2, W)``."""
+        """Return ``mu ly`` and ``mu lx`` of both parts, each with its mu: shapes ``(2, H)`` and ``(2, W)``."""
         ly, lx = self.eigenvalues()
-        return (mu * ly).astype(self.dtype), (mu * lx).astype(self.dtype)
+        of_parts = mu * self.penalties[:, None]
+        return (of_parts * ly).astype(self.dtype), (of_parts * lx).astype(self.dtype)
 
     def solve(self, v: Array, w: Array, theta: float, mu: float, system: System, u: Array) -> None:
         """Minimise ``|p + q - v|^2 / (2 theta) + mu/2 weight |D (p, q) - w|^2``; see `GradientOperator.solve`.
 
-        `v` has the shape (H, W), and `u`, the parts, (2, H, W).
+        `v` has the shape (H, W), and `u`, the parts, (2, H, W). The term of q counts `smooth_penalty` times.
         """
         height, width = self.shape
         first, second = np.split(w, 2)
@@ -65,7 +80,8 @@ class InfimalGradient(MappedGradient):
         spectra = spectrum, first[0], second[0]
         along_y, along_x = system
         if not AVAILABLE:
-            w[::2, 0] = self.to_basis(self.dtype.type(mu * self.weight) * self.adjoint(w))
+            of_parts = (mu * self.weight * self.penalties).astype(self.dtype)
+            w[::2, 0] = self.to_basis(of_parts[:, None, None] * self.adjoint(w))
             w[::2, 1] = 0.0
             spectrum[...] = self.to_basis(v)
             split_parts(*spectra, along_y, along_x, theta, 0, height)
@@ -74,8 +90,8 @@ class InfimalGradient(MappedGradient):
             return
         parallel_for(lambda a, b: cosine(v, 1, a, b, *self._unscaled_x, spectrum), height)
         parallel_for(lambda a, b: cosine(spectrum, 0, a, b, *self._unscaled_y, spectrum), width)
-        for order, part in zip(self._orders, (first, second), strict=True):
-            order.collect(v, part, math.inf, mu)
+        for order, part, penalty in zip(self._orders, (first, second), self.penalties, strict=True):
+            order.collect(v, part, math.inf, mu * penalty)
             order.complete(part)
         parallel_for(lambda a, b: split_parts(*spectra, along_y, along_x, theta, a, b), height)
         for order, part, out in zip(self._orders, (first, second), u, strict=True):
@@ -91,10 +107,10 @@ def split_parts(
     """Write the cosine coefficients of the minimising p to ``first[0]`` and those of q to ``second[0]``.
 
     `v`, (H, W), holds the coefficients of the data. `first` and `second`, (2, H, W), hold those of
-    ``mu weight D^T w`` of p and of q as a sum of two, and `along_y`, (2, H), and `along_x`, (2, W), mu times the
-    eigenvalues. Rows `start` to `stop` are taken. No nearly equal numbers are subtracted: with the coefficients
-    g and h of both right-hand sides and ``A, B = mu (ly + lx)``, the solution of
-    ``(p + q - v) / theta + A p = g``, ``(p + q - v) / theta + B q = h`` is
+    ``mu weight D^T w`` of p and of q as a sum of two, and `along_y`, (2, H), and `along_x`, (2, W), eigenvalues
+    times the mu of each part. Rows `start` to `stop` are taken. No nearly equal numbers are subtracted: with the
+    coefficients g and h of both right-hand sides and the penalties ``A = mu (ly + lx)`` of p and B of q, the
+    solution of ``(p + q - v) / theta + A p = g``, ``(p + q - v) / theta + B q = h`` is
     ``p = (B v + g - h + theta B g) / (A + B + theta A B)``, and q likewise. A mean that costs nothing in either
     part belongs to p.
     """

@@ -41,9 +41,9 @@ def both_ways(request, monkeypatch):
         monkeypatch.setattr(module, "AVAILABLE", module.AVAILABLE and request.param)
 
 
-def gradient(orders, beta, dtype=np.float64):
+def gradient(orders, beta, penalty=1.0):
     planes = np.ones((2, *SHAPE)) * np.reshape([1.0, beta], (2, 1, 1))
-    return InfimalGradient(orders, planes, dtype)
+    return InfimalGradient(orders, planes, smooth_penalty=penalty)
 
 
 def dense(orders):
@@ -83,16 +83,19 @@ def test_the_operator_is_that_of_the_dense_matrices(rng, orders):
     np.testing.assert_allclose(operator.from_basis(operator.to_basis(parts)), parts, atol=1e-12)
 
 
+@pytest.mark.parametrize("penalty", [1.0, 7.0])
 @pytest.mark.parametrize("orders", ORDERS)
-def test_the_u_step_is_the_dense_one(rng, orders, both_ways):
-    operator = gradient(orders, 2.0)
+def test_the_u_step_is_the_dense_one(rng, orders, penalty, both_ways):
+    operator = gradient(orders, 2.0, penalty)
     v, w = rng.normal(size=SHAPE), rng.normal(size=operator.range_shape)
     matrices = [np.concatenate([m for pair in pairs for m in pair]) for pairs in dense(orders)]
     n = v.size
     ones = np.eye(n) / THETA
-    blocks = [ones + 0.5 * MU * m.T @ m for m in matrices]
+    half = [0.5 * MU, 0.5 * penalty * MU]
+    blocks = [ones + mu * m.T @ m for mu, m in zip(half, matrices, strict=True)]
     system = np.block([[blocks[0], ones], [ones, blocks[1]]])
-    right = [v.ravel() / THETA + 0.5 * MU * m.T @ g.ravel() for m, g in zip(matrices, np.split(w, 2), strict=True)]
+    terms = zip(half, matrices, np.split(w, 2), strict=True)
+    right = [v.ravel() / THETA + mu * m.T @ g.ravel() for mu, m, g in terms]
     expected = np.linalg.lstsq(system, np.concatenate(right), rcond=1e-13)[0].reshape(2, *SHAPE)
     if 0.0 not in orders:  # the mean costs nothing in either part and is given to p
         shift = expected[1].mean()
@@ -125,12 +128,13 @@ def test_single_precision_holds_at_low_frequencies(rng, orders):
 
 
 @pytest.mark.parametrize("relaxation", [1.0, 1.7])
+@pytest.mark.parametrize("penalty", [1.0, 10.0])
 @pytest.mark.parametrize(
     ("orders", "beta"),
     [((1.0, 1.5), 1.3), ((1.0, 2.0), 1.2), ((0.6, 1.4), 1.5), ((1.0, 2.4), 1.3), ((1.0, 3.0), 1.6)],
 )
-def test_split_bregman_reaches_the_minimum(steps, orders, beta, relaxation):
-    operator = gradient(orders, beta)
+def test_split_bregman_reaches_the_minimum(steps, orders, beta, relaxation, penalty):
+    operator = gradient(orders, beta, penalty)
     parts = minimise(operator, steps, relaxation=relaxation)
     assert np.ptp(parts, axis=(2, 3)).min() > 0.1  # both parts take part
     pairs = dense(orders)
@@ -143,6 +147,20 @@ def test_split_bregman_reaches_the_minimum(steps, orders, beta, relaxation):
             for one, weight in zip(pairs, (1.0, beta), strict=True)
         )
         assert reached < single  # and together they cost less than either alone
+
+
+def test_a_larger_penalty_of_the_second_part_is_faster():
+    """A slope of q's order beside a step, on lines long enough for q's derivatives to be small."""
+    v = np.broadcast_to(np.linspace(0.0, 2.0, 120), (2, 8, 120)).copy()
+    v[:, :, 60:] += 1.0
+    v += np.random.default_rng(1).normal(0.0, 0.1, v.shape)
+    weights = np.ones((2, 8, 120)) * np.reshape([1.0, 2.0], (2, 1, 1))
+    above = {}
+    for penalty in (1.0, 10.0):
+        operator = InfimalGradient((1.0, 1.5), weights, smooth_penalty=penalty)
+        early, late = (minimise(operator, v, steps, relaxation=1.7) for steps in (30, 1500))
+        above[penalty] = sum(objectives(operator, early, v)) / sum(objectives(operator, late, v)) - 1.0
+    assert 0.0 < above[10.0] < 0.5 * above[1.0]
 
 
 def test_a_large_weight_leaves_the_first_order(steps):
