@@ -12,8 +12,8 @@ from functools import partial
 from typing import TYPE_CHECKING, NoReturn
 
 from fracbench.commands import console
-from fracbench.commands.completion import complete
 from fracbench.commands.options import build_parser
+from fracbench.commands.parser import complete
 from fracbench.errors import RESUME, FracbenchError, InputError
 
 if TYPE_CHECKING:

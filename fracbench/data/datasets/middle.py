@@ -12,8 +12,8 @@ _CHANGE, _ITERATIONS = 1e-4, 100
 def at_frame0(flow: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return a flow of the middle between the frames as the flow of frame 0.
 
-    What is at x in frame 0 is at ``x + u/2`` in the middle, where the given flow is m: ``u(x) = m(x + u/2)``, solved
-    by fixed-point iteration, which contracts where m changes by less than 2 pixels a pixel.
+    A particle at x in frame 0 is at ``x + u/2`` in the middle, where the given flow is m: ``u(x) = m(x + u/2)``,
+    solved by fixed-point iteration, which contracts where m changes by less than 2 pixels a pixel.
 
     Parameters
     ----------
