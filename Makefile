@@ -58,7 +58,7 @@ docs: $(VENV)/.docs ## build the documentation site in build/site, and check it:
 	$(BIN)/codespell
 	mkdir -p build/notebook && cp docs/tutorial.ipynb build/notebook
 	$(BIN)/python -m pytest -q --nbmake build/notebook/tutorial.ipynb
-	$(BIN)/python -m sphinx --quiet --fail-on-warning --keep-going docs build/site
+	$(BIN)/python -m sphinx --quiet --fail-on-warning --keep-going --doctree-dir build/doctrees docs build/site
 	$(BIN)/python -m pytest -q tests/test_site.py
 
 lint: $(VENV)/.ready ## check style and types
