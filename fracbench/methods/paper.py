@@ -7,8 +7,10 @@ from typing import Unpack
 
 import numpy as np
 
+from fracbench.errors import InputError
 from fracbench.model import pyramid
-from fracbench.model.coarse_to_fine import FlowResult, RunOptions, coarse_to_fine
+from fracbench.model.coarse_to_fine import FlowResult, ResidualFactory, RunOptions, coarse_to_fine
+from fracbench.model.data_terms.switched import switched_residual
 from fracbench.model.energy import regularity
 from fracbench.model.kernels.arrays import Array
 from fracbench.model.operators.base import GradientOperator
@@ -16,35 +18,53 @@ from fracbench.model.operators.choose import make_operator
 from fracbench.model.operators.forward import ForwardDifferences
 from fracbench.model.params import FlowParams
 from fracbench.model.regularizers import Regularizer, SplitBregman, TVDual
-from fracbench.model.v_steps import MultiplierStep, PenaltyStep, VStep
+from fracbench.model.sweeps import five_point_switches
+from fracbench.model.v_steps import MultiplierStep, VStep, v_step_of_penalty
 
 
 def tvl1(frame0: Array, frame1: Array, params: FlowParams, **options: Unpack[RunOptions]) -> FlowResult:
     """Compute TV-L1 flow; see `fracbench.methods.registry.Method` for the signature."""
-    return coarse_to_fine(frame0, frame1, params, _tv_dual, method="tvl1", **options)
+    return coarse_to_fine(
+        frame0, frame1, params, _tv_dual, v_step_of_penalty, prepare_data=_data, method="tvl1", **options
+    )
 
 
 def tvl1_sb(frame0: Array, frame1: Array, params: FlowParams, **options: Unpack[RunOptions]) -> FlowResult:
     """Compute TV-L1-SB flow (Algorithm 3)."""
-    return coarse_to_fine(frame0, frame1, params, _split_bregman, v_step, method="tvl1_sb", **options)
+    return coarse_to_fine(
+        frame0, frame1, params, _split_bregman, v_step, prepare_data=_data, method="tvl1_sb", **options
+    )
 
 
 def tvl1_sb_alpha(frame0: Array, frame1: Array, params: FlowParams, **options: Unpack[RunOptions]) -> FlowResult:
     """Compute TV-L1-SB-alpha flow (Algorithm 4)."""
-    return coarse_to_fine(frame0, frame1, params, split_bregman_alpha, v_step, method="tvl1_sb_alpha", **options)
+    return coarse_to_fine(
+        frame0, frame1, params, split_bregman_alpha, v_step, prepare_data=_data, method="tvl1_sb_alpha", **options
+    )
 
 
 def v_step(like: Array, params: FlowParams) -> VStep:
     """Return the v-step that `params` ask for, for a scale of the shape of the flow `like`."""
-    return MultiplierStep(like, params) if params.coupling == "multiplier" else PenaltyStep(like, params)
+    if params.coupling == "penalty":
+        return v_step_of_penalty(like, params)
+    if params.threshold != "full":
+        raise InputError(f"`threshold` needs coupling=penalty, got {params.threshold} with {params.coupling}")
+    return MultiplierStep(like, params)
+
+
+def _data(frame0: Array, frame1: Array, params: FlowParams) -> ResidualFactory:
+    return switched_residual
 
 
 def _tv_dual(params: FlowParams, frame0: Array) -> Regularizer:
-    return TVDual(_shape(frame0), params.theta, params.tau, frame0.dtype)
+    return TVDual(_shape(frame0), params.theta, params.tau, frame0.dtype, params.sweeps)
 
 
 def _split_bregman(params: FlowParams, frame0: Array) -> Regularizer:
-    return split_bregman(_forward_differences(params, frame0), params)
+    bregman = split_bregman(_forward_differences(params, frame0), params)
+    if params.u_solver != "exact":
+        bregman.five_point = five_point_switches(params)
+    return bregman
 
 
 def split_bregman_alpha(params: FlowParams, frame0: Array) -> Regularizer:
@@ -77,6 +97,9 @@ def split_bregman(operator: GradientOperator, params: FlowParams) -> SplitBregma
         relaxation=params.relaxation if multiplier else 1.0,
         tol=params.tol,
         max_inner=params.max_inner,
+        penalty=params.lambda_l,
+        isotropic=params.shrinkage == "isotropic",
+        tol_norm=params.tol_norm,
     )
 
 
@@ -95,7 +118,8 @@ def energy_growth(
     """
     if name not in _GRADIENTS:
         return None
-    _, gain = pyramid.scaling(frame0, frame1)
+    params = params.weighted()
+    _, gain = pyramid.scaling(frame0, frame1, params.intensity)
     change = np.subtract(frame1, frame0, dtype=np.float64)
     before = params.lambda_ * gain * float(np.abs(change, out=change).sum())
     with np.errstate(over="ignore", invalid="ignore"):

@@ -15,7 +15,7 @@ from fracbench.entry_points import Offers
 from fracbench.errors import unknown_name
 from fracbench.methods.method import OPTIONS, Method
 from fracbench.methods.peers import PEERS
-from fracbench.model.params import FlowParams
+from fracbench.model.params import SWITCHES, FlowParams
 
 # Parameters of extensions: the paper's methods do not use them, nor do the keys of their results.
 _BEYOND = frozenset({
@@ -24,9 +24,13 @@ _BEYOND = frozenset({
 })  # fmt: skip
 # Those of the flow in two parts.
 _INFIMAL = frozenset({"alpha_smooth", "smooth_weight", "smooth_penalty"})
-_PYRAMID = frozenset(FlowParams.names()) - _BEYOND - _INFIMAL - {
+# Other readings of the paper's split Bregman iteration, data term and 5-point stencil, which not all methods have.
+_BREGMANS = frozenset({"shrinkage", "lambda_l", "tol_norm"})
+_DATA = frozenset({"gradient_of", "stencil", "warp", "outside"})
+_FIVE_POINT = frozenset({"sweep_order", "stencil_border"})
+_PYRAMID = frozenset(FlowParams.names()) - _BEYOND - _INFIMAL - _BREGMANS - _DATA - _FIVE_POINT - {
     "alpha", "boundary", "pad", "tau", "lambda_sb", "u_solver", "inner", "tol", "max_inner", "coupling",
-    "coupling_step", "relaxation"
+    "coupling_step", "relaxation", "sweeps"
 }  # fmt: skip
 # For cheap iterations of little progress; the default of six is for the exact u-step.
 _SMALL_STEPS = {"epsilon": 0.02, "max_iter": 300, "n_warps": 5}
@@ -97,11 +101,16 @@ def _ours(
         estimate,
         uses=uses,
         defaults=defaults or {},
-        younger={"finest_scale": 0, **(younger or {})},
+        younger={"finest_scale": 0, **_off(uses), **(younger or {})},
         limits=limits or {},
         options=OPTIONS,
         frame_dtype=None,
     )
+
+
+def _off(uses: frozenset[str]) -> dict[str, Any]:
+    """Return the switches among parameters, with the values at which they are off."""
+    return {name: value for name, value in SWITCHES.items() if name in uses}
 
 
 def _imported(module: str, function: str, *frames: Any, **settings: Any) -> Any:
@@ -115,7 +124,7 @@ register(
         "TV-L1",
         "thresholding and Chambolle's dual step (Zach et al. 2007, Sanchez et al. 2013)",
         "paper",
-        _PYRAMID | {"tau"},
+        _PYRAMID | _DATA | {"tau", "sweeps"},
         defaults=_SMALL_STEPS,
     )
 )
@@ -125,7 +134,7 @@ register(
         "TV-L1-SB",
         "split Bregman with forward differences, no flux through the border (Algorithms 1-3)",
         "paper",
-        _BREGMAN,
+        _BREGMAN | _BREGMANS | _DATA | _FIVE_POINT | {"sweeps"},
         defaults={"u_solver": "gauss_seidel", "inner": "cold", "coupling": "penalty", **_SMALL_STEPS},
     )
 )
@@ -135,7 +144,7 @@ register(
         "TV-L1-SB-alpha",
         "split Bregman with the fractional gradient (Algorithms 1, 2, 4)",
         "paper",
-        _BREGMAN | {"alpha", "boundary", "pad"},
+        _BREGMAN | _BREGMANS | _DATA | {"alpha", "boundary", "pad"},
         limits={"alpha": (2.0, _PAPERS_ORDERS)},
     )
 )
@@ -145,7 +154,7 @@ register(
         "TV-L1-SB-alpha, mapped",
         "the same with an order for each class of structure in frame 0: flat, edge, corner, texture",
         "alpha_map",
-        _BREGMAN | _BEYOND,
+        _BREGMAN | _BREGMANS | _BEYOND,
         # orders without weight at a pixel slow the convergence of its flow, so that more iterations are needed
         defaults={"n_warps": 5, "max_iter": 10},
         younger={"texture": 0.0, "occlusion": "median"},

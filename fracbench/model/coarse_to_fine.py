@@ -151,14 +151,15 @@ def coarse_to_fine(
     if initial_flow is not None:
         check_initial_flow(initial_flow, frame0.shape)
     watch = Stopwatch()
+    given, params = params, params.weighted()
     dtype = np.dtype(params.dtype)
     shapes = pyramid.scale_shapes(frame0.shape, params.eta, params.n_scales)
     frame0, frame1 = without_masked(frame0, frame1, mask)
     make_residual = prepare_data(frame0, frame1, params)
     shares = None if mask is None else valid_shares(mask, shapes, params.eta, dtype)
     pyramids = parallel_map(
-        lambda frame: pyramid.build(pyramid.smooth(frame, params.presmoothing), shapes, params.eta),
-        pyramid.stretch(frame0, frame1, dtype),
+        lambda frame: pyramid.scales(frame, shapes, params),
+        pyramid.stretch(frame0, frame1, dtype, params.intensity),
     )
     watch.lap("pyramid")
     flow = aligned((2, *shapes[-1]), dtype)
@@ -169,7 +170,7 @@ def coarse_to_fine(
     for s in reversed(range(finest, len(shapes))):
         with worth_threads(math.prod(shapes[s])):
             if s < len(shapes) - 1:
-                flow = pyramid.upsample_flow(flow, shapes[s], params.upsample_gain)
+                flow = pyramid.upsample_flow(flow, shapes[s], params.upsample_gain, params.upsampling)
             frames = pyramids[0].pop(), pyramids[1].pop()
             residual, v_step = make_residual(*frames, params), make_v_step(flow, params)
             if shares is not None:
@@ -187,7 +188,7 @@ def coarse_to_fine(
         flow = pyramid.upsample_flow(flow, shapes[0])
         watch.lap("upsampling")
     return FlowResult(
-        np.asarray(flow, np.float32), method, params, levels, dict(watch.seconds), _notices(params, shapes)
+        np.asarray(flow, np.float32), method, given, levels, dict(watch.seconds), _notices(params, shapes)
     )
 
 

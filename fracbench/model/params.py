@@ -43,6 +43,12 @@ def _param(default: Any, text: str, symbol: str = "", paper_range: str = "", **b
     return dataclasses.field(default=default, metadata={"info": info})
 
 
+def _switch(default: Any, text: str, **bounds: Any) -> Any:
+    """Return a field of a switch: a parameter that came after results were stored and is off at its default."""
+    info = ParamInfo(text, **bounds)
+    return dataclasses.field(default=default, metadata={"info": info, "switch": True})
+
+
 @dataclass(frozen=True, kw_only=True)
 class FlowParams:
     """Parameters of a flow computation; the defaults are the preset `recommended`.
@@ -131,6 +137,44 @@ class FlowParams:
     smooth_weight: float = _param(2.0, "weight of the second part's regularity", low=0.0, open_low=True)
     smooth_penalty: float = _param(1.0, "split Bregman penalty of the second part, as a multiple of lambda_sb",
                                    low=0.0, open_low=True)
+
+    # Other readings of Algorithms 1 to 4 (docs/switches.md): each is off at its default.
+    intensity: Literal["joint", "each", "unit", "given"] = _switch(
+        "joint", "range of the frames: 0..255 together, 0..255 each by itself, 0..1 together, or as they are")
+    lambda_factor: float = _switch(1.0, "factor on lambda", low=0.0, open_low=True)
+    theta_factor: float = _switch(1.0, "factor on theta", low=0.0, open_low=True)
+    swap_weights: bool = _switch(False, "exchange lambda and theta, before their factors")
+    smoothing_at: Literal["frames", "scales"] = _switch(
+        "frames", "presmoothing of the frames before the pyramid is built, or of each scale after it")
+    downsampling: Literal["gaussian", "plain", "imresize", "gaussian_imresize", "area"] = _switch(
+        "gaussian", "scales of the images: smoothed and sampled, sampled alone, by imresize, both, or by areas")
+    upsampling: Literal["bicubic", "bilinear", "nearest", "imresize", "printed"] = _switch(
+        "bicubic", "interpolation of the coarse flow; printed: sampled at x/eta, 0 outside")
+    gradient_of: Literal["frame1", "warped", "still", "frame0", "mean"] = _switch(
+        "frame1", "image gradient: of frame 1, then warped; of the warped frame 1; of frame 1 or 0 as it is; "
+        "or the mean of frame 0's and the warped one")
+    stencil: Literal["central", "forward", "backward", "five_point"] = _switch(
+        "central", "differences of the image gradient")
+    warp: Literal["bicubic", "bilinear"] = _switch("bicubic", "interpolation of frame 1 and its gradient")
+    outside: Literal["zero", "repeat", "frame0", "off"] = _switch(
+        "zero", "samples outside frame 1: 0, those of the border, frame 0, or without a data term")
+    threshold: Literal["full", "no_theta", "no_square"] = _switch(
+        "full", "threshold of the v-step under coupling=penalty: in full, without theta, or without the square")
+    u0_per_scale: bool = _switch(False, "linearise in all warps of a scale at the flow it starts from")
+    residual_u0: bool = _switch(True, "subtract u0 in the residual; false: I1(x + u0) + grad I1 . u - I0")
+    unknown: Literal["flow", "increment"] = _switch(
+        "flow", "unknown of a warp: the flow, or its change in this warp, which alone is regularised")
+    shrinkage: Literal["isotropic", "anisotropic"] = _switch(
+        "isotropic", "shrinkage of the derivatives along x and y: by their norm, or each by itself")
+    lambda_l: float | None = _switch(
+        None, "penalty in the u-step; none: lambda_sb, the one of the shrinkage", low=0.0, open_low=True)
+    sweeps: int = _switch(1, "Gauss-Seidel sweeps of a u-step, or dual steps of TV-L1", low=1)
+    sweep_order: Literal["raster", "backward", "at_once"] = _switch(
+        "raster", "order of a Gauss-Seidel sweep of the 5-point stencil; at_once: Jacobi's")
+    stencil_border: Literal["natural", "four_zero", "four_repeat"] = _switch(
+        "natural", "5-point stencil at the border: the neighbours there are, or four, those outside 0 or repeated")
+    tol_norm: Literal["rms", "max", "sum", "relative"] = _switch(
+        "rms", "norm of a component's change that tol bounds: root mean square, maximum, Euclidean, or relative")
     # fmt: on
 
     def __post_init__(self) -> None:
@@ -170,9 +214,29 @@ class FlowParams:
                 raise unknown_name("parameter", name, self.names(), where)
         return dataclasses.replace(self, **{_field_name(name): value for name, value in changes.items()})
 
+    def weighted(self) -> Self:
+        """Return the parameters with the lambda and theta that are used: exchanged and multiplied as asked for."""
+        if not self.swap_weights and self.lambda_factor == self.theta_factor == 1.0:
+            return self
+        lambda_, theta = (self.theta, self.lambda_) if self.swap_weights else (self.lambda_, self.theta)
+        return dataclasses.replace(
+            self,
+            lambda_=lambda_ * self.lambda_factor,
+            theta=theta * self.theta_factor,
+            lambda_factor=1.0,
+            theta_factor=1.0,
+            swap_weights=False,
+        )
+
     def as_dict(self) -> dict[str, Any]:
         """Return the values by public name."""
         return {public_name(f.name): getattr(self, f.name) for f in dataclasses.fields(self)}
+
+
+#: The switches' values at which they are off, by public name.
+SWITCHES: dict[str, Any] = {
+    field.name: field.default for field in dataclasses.fields(FlowParams) if "switch" in field.metadata
+}
 
 
 def public_name(field_name: str) -> str:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 
 from fracbench.model.kernels.arrays import Array, aligned
 from fracbench.model.kernels.jit import jit
 from fracbench.model.kernels.threads import parallel_map
+from fracbench.model.params import FlowParams
+from fracbench.model.resampling import resample
 from fracbench.model.warping import resize
 
 #: sigma_0 of section 3.4: standard deviation of the blur at unit scale, from which sigma(eta) follows.
@@ -38,18 +41,28 @@ def scale_shapes(shape: tuple[int, int], eta: float, n_scales: int | None) -> li
     return shapes
 
 
-def stretch(frame0: Array, frame1: Array, dtype: np.dtype) -> tuple[Array, Array]:
-    """Return copies of both frames (H, W), stretched together to 0..255 (Algorithm 1); equal constants stay."""
-    offset, gain = scaling(frame0, frame1)
-    first, second = (((f.astype(np.float64) - offset) * gain).astype(dtype) for f in (frame0, frame1))
+def stretch(frame0: Array, frame1: Array, dtype: np.dtype, intensity: str = "joint") -> tuple[Array, Array]:
+    """Return copies of both frames (H, W), stretched together to 0..255 (Algorithm 1); equal constants stay.
+
+    Other values of `intensity`: ``each`` stretches each frame by itself, ``unit`` both to 0..1, ``given`` none.
+    """
+    pairs = ((frame0, frame0), (frame1, frame1)) if intensity == "each" else ((frame0, frame1),) * 2
+    scalings = [scaling(*pair, intensity) for pair in pairs]
+    first, second = (
+        ((frame.astype(np.float64) - offset) * gain).astype(dtype)
+        for frame, (offset, gain) in zip((frame0, frame1), scalings, strict=True)
+    )
     return first, second
 
 
-def scaling(frame0: Array, frame1: Array) -> tuple[float, float]:
+def scaling(frame0: Array, frame1: Array, intensity: str = "joint") -> tuple[float, float]:
     """Return the offset that `stretch` subtracts from both frames, and its gain."""
+    if intensity == "given":
+        return 0.0, 1.0
+    brightest = 1.0 if intensity == "unit" else 255.0
     low = min(float(frame0.min()), float(frame1.min()))
     high = max(float(frame0.max()), float(frame1.max()))
-    return (low, 255.0 / (high - low)) if high > low else (0.0, 1.0)
+    return (low, brightest / (high - low)) if high > low else (0.0, 1.0)
 
 
 def smooth(image: Array, sigma: float) -> Array:
@@ -102,15 +115,26 @@ def _smooth(image: Array, half: Array, out: Array) -> None:
                 smoothed[j] += half[k] * (left[j] + right[j])
 
 
-def build(image: Array, shapes: list[tuple[int, int]], eta: float) -> list[Array]:
+def scales(frame: Array, shapes: list[tuple[int, int]], params: FlowParams) -> list[Array]:
+    """Return the pyramid of a stretched frame, smoothed before or after it is built (`smoothing_at`)."""
+    sigma, eta, way = params.presmoothing, params.eta, params.downsampling
+    if params.smoothing_at == "scales":
+        return [smooth(level, sigma) for level in build(frame, shapes, eta, way)]
+    return build(smooth(frame, sigma), shapes, eta, way)
+
+
+def build(image: Array, shapes: list[tuple[int, int]], eta: float, way: str = "gaussian") -> list[Array]:
     """Return the pyramid of an image from finest to coarsest, with the sizes `shapes` (`scale_shapes`).
 
-    Each scale is the one before it, smoothed by ``sigma(eta) = sigma_0 sqrt(eta^-2 - 1)`` and resampled.
+    Each scale is the one before it, smoothed by ``sigma(eta) = sigma_0 sqrt(eta^-2 - 1)`` and resampled. The other
+    ways are those of the switch `downsampling`.
     """
-    sigma = SIGMA_ZERO * math.sqrt(eta**-2 - 1.0)
+    sigma = SIGMA_ZERO * math.sqrt(eta**-2 - 1.0) if way.startswith("gaussian") else 0.0
     levels = [image]
     for shape in shapes[1:]:
-        levels.append(resize(smooth(levels[-1], sigma), shape))
+        smoothed = smooth(levels[-1], sigma)
+        by_weights = {"area": "area", "imresize": "imresize", "gaussian_imresize": "imresize"}.get(way)
+        levels.append(resample(smoothed, shape, by_weights) if by_weights else resize(smoothed, shape))
     return levels
 
 
@@ -125,13 +149,14 @@ def downsample_flow(flow: Array, shapes: list[tuple[int, int]], eta: float) -> A
     return coarse
 
 
-def upsample_flow(flow: Array, shape: tuple[int, int], gain: float | None = None) -> Array:
+def upsample_flow(flow: Array, shape: tuple[int, int], gain: float | None = None, way: str = "bicubic") -> Array:
     """Return a flow (2, h, w), in pixels of its scale, as the flow (2, H, W) of a finer scale of size `shape`.
 
-    It is sampled bicubically, and both components are multiplied by `gain`: by default the ratios of the sizes,
-    ``W/w`` and ``H/h`` (errata, item 6).
+    It is sampled bicubically, or in another `way` of `resampling.resample`, and both components are multiplied by
+    `gain`: by default the ratios of the sizes, ``W/w`` and ``H/h`` (errata, item 6).
     """
     ratios = (shape[1] / flow.shape[2], shape[0] / flow.shape[1]) if gain is None else (gain, gain)
     fine = aligned((2, *shape), flow.dtype)
-    parallel_map(lambda c: np.multiply(resize(flow[c], shape), flow.dtype.type(ratios[c]), out=fine[c]), range(2))
+    sampled = resize if way == "bicubic" else partial(resample, kind=way)
+    parallel_map(lambda c: np.multiply(sampled(flow[c], shape), flow.dtype.type(ratios[c]), out=fine[c]), range(2))
     return fine

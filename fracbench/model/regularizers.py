@@ -13,12 +13,18 @@ import numpy as np
 from fracbench.model.data_terms.occlusion import slope
 from fracbench.model.kernels.arrays import Array, aligned
 from fracbench.model.kernels.jit import jit
-from fracbench.model.kernels.pointwise import bregman_update, mean_squared_change, shrink_difference
+from fracbench.model.kernels.pointwise import (
+    bregman_update,
+    mean_squared_change,
+    shrink_difference,
+    shrink_each,
+    update_each,
+)
 from fracbench.model.kernels.threads import count, parallel_for, parallel_map
 from fracbench.model.operators.base import GradientOperator
 from fracbench.model.operators.forward import ForwardDifferences
 from fracbench.model.operators.infimal import InfimalGradient
-from fracbench.model.sweeps import gauss_seidel_dense, gauss_seidel_natural, jacobi_sweep
+from fracbench.model.sweeps import FivePoint, gauss_seidel_dense, gauss_seidel_natural, jacobi_sweep
 
 
 class Regularizer(Protocol):
@@ -36,13 +42,16 @@ class Regularizer(Protocol):
 class TVDual:
     """Chambolle's dual step for TV with forward differences (Zach et al. 2007; IPOL's numerics).
 
-    The dual time step `tau` may be up to 1/4, where it still converges.
+    The dual time step `tau` may be up to 1/4, where it still converges. A call takes `sweeps` steps.
     """
 
-    def __init__(self, shape: tuple[int, int], theta: float, tau: float, dtype: np.dtype | type) -> None:
+    def __init__(
+        self, shape: tuple[int, int], theta: float, tau: float, dtype: np.dtype | type, sweeps: int = 1
+    ) -> None:
         self.operator: GradientOperator = ForwardDifferences(1.0, shape, dtype)
         self._theta = theta
         self._step = tau / theta
+        self._sweeps = sweeps
         self._p = np.zeros((2, 2, *shape), dtype)
 
     def restart(self) -> None:
@@ -53,8 +62,9 @@ class TVDual:
         """Write ``v + theta div p`` to `out` and move p along its gradient; see `Regularizer.step`."""
 
         def take(component: int) -> None:
-            dual_primal(v[component], self._p[component], self._theta, out[component])
-            dual_ascent(out[component], self._step, self._p[component])
+            for _ in range(self._sweeps):
+                dual_primal(v[component], self._p[component], self._theta, out[component])
+                dual_ascent(out[component], self._step, self._p[component])
 
         parallel_map(take, range(2))
         return 1
@@ -115,7 +125,20 @@ class SplitBregman:
     relaxation : float
         Over-relaxation, in (0, 2), of warm steps that are solved exactly; a cold step is a step of the
         paper, and a single sweep is too rough to be relaxed.
+    penalty : float, optional
+        The u-step's parameter lambda_l where it is not `mu`, that of the shrinkage.
+    isotropic : bool
+        Shrink the derivatives of a pair by their norm; else each by itself.
+    tol_norm : {'rms', 'max', 'sum', 'relative'}
+        The norm of the change that `tol` bounds.
+
+    Attributes
+    ----------
+    five_point : FivePoint or None
+        The sweep over the 5-point stencil where it is not the usual one; for `ForwardDifferences` alone.
     """
+
+    five_point: FivePoint | None = None
 
     def __init__(
         self,
@@ -128,9 +151,15 @@ class SplitBregman:
         relaxation: float = 1.0,
         tol: float = 0.01,
         max_inner: int = 30,
+        penalty: float | None = None,
+        isotropic: bool = True,
+        tol_norm: str = "rms",
     ) -> None:
         self.operator = operator
-        self._theta, self._mu = theta, mu
+        self._theta, self._mu = theta, penalty or mu
+        self._shrink = shrink_difference if isotropic else shrink_each
+        self._update = bregman_update if isotropic else update_each
+        self._tol_norm = tol_norm
         weights = operator.pixel_weights
         # Not 0, which would be divided by norms whose squares underflow.
         self._least = float(np.finfo(operator.dtype).eps ** 2)
@@ -146,7 +175,7 @@ class SplitBregman:
         self._started = [False, False]
         self._fused = u_solver == "gauss_seidel" and isinstance(operator, ForwardDifferences)
         if u_solver == "exact":
-            self._system = operator.factor(theta, mu)
+            self._system = operator.factor(theta, self._mu)
         elif not self._fused:
             self._ny, self._nx = (matrix.astype(operator.dtype) for matrix in operator.normal_matrices())
 
@@ -177,7 +206,7 @@ class SplitBregman:
         while change > self._tol**2 and count < self._max_inner:
             before = out[None].copy()
             self.bregman_step(component, v, out)
-            change = mean_squared_change(out[None], before)
+            change = squared_change(out[None], before, self._tol_norm)
             count += 1
         return count
 
@@ -192,15 +221,17 @@ class SplitBregman:
             self._started[component] = True
             self.operator.differentiate(u, z)
             gamma = self._least  # all of z is d, and b = 0
-        parallel_for(lambda a, b: shrink_difference(z, gamma, w, a, b), w.shape[2])
+        parallel_for(lambda a, b: self._shrink(z, gamma, w, a, b), w.shape[2])
         self._u_step(v, w, u)
-        parallel_for(lambda a, b: bregman_update(w, gamma, relaxation, z, a, b), w.shape[2])
+        parallel_for(lambda a, b: self._update(w, gamma, relaxation, z, a, b), w.shape[2])
 
     def _u_step(self, v: Array, w: Array, u: Array) -> None:
         """Replace d - b in `w` by the derivatives of the next u."""
         operator = self.operator
         if self._solver == "exact":
             operator.solve(v, w, self._theta, self._mu, self._system, u)
+        elif self.five_point is not None:
+            self.five_point.step(u, v, w, self._theta, self._mu)
         elif self._fused:
             gauss_seidel_natural(u, v, w, self._theta, self._mu)
         else:
@@ -212,6 +243,17 @@ class SplitBregman:
             else:
                 gauss_seidel_dense(u, rhs, *system)
             operator.differentiate(u, w)
+
+
+def squared_change(a: Array, b: Array, norm: str) -> float:
+    """Return the square of a norm of ``a - b``: of the switch `tol_norm`."""
+    if norm == "max":
+        return float(np.abs(a - b).max()) ** 2
+    change = mean_squared_change(a, b)
+    if norm == "relative":
+        size = mean_squared_change(a, np.zeros_like(a))
+        return change / size if size else 0.0
+    return change * a[0].size if norm == "sum" else change
 
 
 class InfimalBregman(SplitBregman):

@@ -17,7 +17,7 @@ from fracbench.model.kernels.pointwise import mean_squared_change, threshold
 from fracbench.model.params import FlowParams
 from fracbench.model.regularizers import Regularizer
 from fracbench.model.v_steps import VStep
-from fracbench.model.warping import Linearization
+from fracbench.model.warping import Linearization, around
 
 
 @dataclass
@@ -80,15 +80,25 @@ def solve_single_level(
     """
     report = LevelReport(shape=(u.shape[1], u.shape[2]))
     after = aligned(u.shape, u.dtype)
-    still = None if params.relinearise else np.zeros_like(u)
+    still = np.zeros_like(u) if not params.relinearise else u.copy() if params.u0_per_scale else None
+    in_steps = params.unknown == "increment"
+    before = np.empty_like(u) if in_steps else None
     for _ in range(params.n_warps):
-        linear = residual.at(u if still is None else still)
+        u0 = u if still is None else still
+        linear = residual.at(u0)
+        if in_steps or not params.residual_u0:
+            linear = around(u0, linear)
         v_step.relinearised()
         watch.lap("warping")
         if params.dual_restart:
             regularizer.restart()
             v_step.restart()
+        if before is not None:  # the unknown is the change of the flow
+            before[...] = u
+            u[...] = 0.0
         u, after = _alternate(u, after, linear, params, regularizer, v_step, report, trace)
+        if before is not None:
+            u += before
         watch.lap("solving")
         if report.stop[-1] == "diverged":
             break

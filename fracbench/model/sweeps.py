@@ -7,11 +7,19 @@ operators (`operators.base`) solve it exactly; these sweeps are the paper's way,
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from fracbench.model.kernels.arrays import Array, Float64Array
-from fracbench.model.kernels.forward_rows import differentiate_row, right_hand_side_row
+from fracbench.model.kernels.forward_rows import (
+    differences,
+    differentiate_row,
+    right_hand_side,
+    right_hand_side_row,
+)
 from fracbench.model.kernels.jit import jit
+from fracbench.model.params import FlowParams
 
 
 def jacobi_sweep(u: Array, rhs: Array, ny: Array, nx: Array, theta: float, mu: float) -> Array:
@@ -81,6 +89,70 @@ def gauss_seidel_natural(u: Array, v: Array, w: Array, theta: float, mu: float) 
         _sweep_row(u, row, theta, mu, i)
         differentiate_row(u, i, w)
     differentiate_row(u, len(u), w)
+
+
+@dataclass(frozen=True)
+class FivePoint:
+    """The u-step of Algorithm 3 with another sweep than `gauss_seidel_natural`: number, order and border.
+
+    `order` is ``raster``, ``backward`` or ``at_once``, `border` ``natural``, ``four_zero`` or ``four_repeat``.
+    """
+
+    sweeps: int
+    order: str
+    border: str
+
+    def step(self, u: Array, v: Array, w: Array, theta: float, mu: float) -> None:
+        """Sweep over `u`, (H, W); its forward differences overwrite ``w = d - b``, (1, 2, H, W)."""
+        rhs = np.empty_like(v)
+        right_hand_side(v, w, theta, mu, rhs)
+        four, repeat = self.border != "natural", self.border == "four_repeat"
+        turn = (slice(None, None, -1),) * 2 if self.order == "backward" else (slice(None),) * 2
+        for _ in range(self.sweeps):
+            old = u.copy() if self.order == "at_once" else u
+            sweep_stencil(u[turn], old[turn], rhs[turn], theta, mu, four, repeat)
+        differences(u, w)
+
+
+def five_point_switches(params: FlowParams) -> FivePoint | None:
+    """Return the sweep that `params` ask for, or None for the usual one."""
+    order = "at_once" if params.u_solver == "jacobi" else params.sweep_order
+    chosen = FivePoint(params.sweeps, order, params.stencil_border)
+    if chosen == FivePoint(1, "at_once", "natural") and params.u_solver == "jacobi":
+        return None
+    return None if chosen == FivePoint(1, "raster", "natural") else chosen
+
+
+@jit
+def sweep_stencil(u: Array, old: Array, rhs: Array, theta: float, mu: float, four: bool, repeat: bool) -> None:
+    """Replace each pixel of `u` by ``(rhs + mu sum of its neighbours) / (1/theta + mu number of them)``, in turn.
+
+    Neighbours are those of `old`, which may be `u` itself (Gauss-Seidel). With `four` their number is 4 at the
+    border too, as section 3.1 prints it; one outside is then the pixel's own old value if `repeat`, else 0.
+    """
+    height, width = u.shape
+    real = u.dtype.type
+    direct, penalty = real(1.0 / theta), real(mu)
+    for i in range(height):
+        for j in range(width):
+            total, count = real(0.0), 0
+            if i > 0:
+                total += old[i - 1, j]
+                count += 1
+            if i < height - 1:
+                total += old[i + 1, j]
+                count += 1
+            if j > 0:
+                total += old[i, j - 1]
+                count += 1
+            if j < width - 1:
+                total += old[i, j + 1]
+                count += 1
+            if four:
+                if repeat:
+                    total += (4 - count) * old[i, j]
+                count = 4
+            u[i, j] = (rhs[i, j] + penalty * total) / (direct + penalty * real(count))
 
 
 @jit

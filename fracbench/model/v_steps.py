@@ -43,6 +43,39 @@ class PenaltyStep(VStep):
         return self._v
 
 
+class UnsquaredStep(PenaltyStep):
+    """The paper's v-step with the threshold ``lambda theta |grad I1|``, without the square."""
+
+    def target(self, u: Array, linear: Linearization) -> Array:
+        """Return v; see `VStep`."""
+        threshold_unsquared(u, linear.rho_c, linear.gradient, self._lambda_theta, self._v)
+        return self._v
+
+
+def v_step_of_penalty(like: Array, params: FlowParams) -> VStep:
+    """Return the paper's v-step with the threshold that `params` ask for."""
+    if params.threshold == "no_theta":
+        params = params.replace({"theta": 1.0})
+    return (UnsquaredStep if params.threshold == "no_square" else PenaltyStep)(like, params)
+
+
+@jit
+def threshold_unsquared(u: Array, rho_c: Array, gradient: Array, lambda_theta: float, v: Array) -> None:
+    """Write ``v = u + TH`` as `pointwise.threshold` does, with the cases at ``|rho| = lambda theta |grad I1|``."""
+    for i in range(u.shape[1]):
+        for j in range(u.shape[2]):
+            gx, gy = gradient[0, i, j], gradient[1, i, j]
+            g2 = gx * gx + gy * gy
+            rho = rho_c[i, j] + gx * u[0, i, j] + gy * u[1, i, j]
+            bound = lambda_theta * np.sqrt(g2)
+            if abs(rho) > bound:
+                step = -lambda_theta if rho > 0.0 else lambda_theta
+            else:
+                step = -rho / g2 if g2 >= GRADIENT_IS_ZERO else 0.0
+            v[0, i, j] = u[0, i, j] + step * gx
+            v[1, i, j] = u[1, i, j] + step * gy
+
+
 class MultiplierStep(VStep):
     """The v-step with a multiplier kept between iterations and warps; see `coupled_threshold`."""
 

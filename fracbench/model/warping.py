@@ -29,6 +29,11 @@ class Linearization(NamedTuple):
     gradient: Array
 
 
+def around(u0: Array, linear: Linearization) -> Linearization:
+    """Return ``I1(x + u0) + grad I1(x + u0) . w - I0``: the residual of ``u0 + w`` as a function of w."""
+    return Linearization(linear.rho_c + linear.gradient[0] * u0[0] + linear.gradient[1] * u0[1], linear.gradient)
+
+
 def central_gradient(image: Array, scale: float = 1.0) -> Array:
     """Return `scale` times the central differences of an image (H, W) in x and y, (2, H, W); Neumann borders."""
     padded = np.pad(image, 1, mode="edge")

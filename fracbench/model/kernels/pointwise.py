@@ -148,6 +148,33 @@ def bregman_update(du: Array, threshold: Any, relaxation: float, z: Array, start
 
 
 @jit
+def shrink_each(z: Array, threshold: Any, w: Array, start: int, stop: int) -> None:
+    """Write ``d - b`` as `shrink_difference` does, with each derivative shrunk by itself (anisotropic)."""
+    pairs, _, _, width = z.shape
+    for p in range(pairs):
+        for c in range(2):
+            for i in range(start, stop):
+                for j in range(width):
+                    limit = z.dtype.type(weight_at(threshold, p, pairs, i, j))
+                    w[p, c, i, j] = z[p, c, i, j] - (min(max(z[p, c, i, j], -limit), limit) * z.dtype.type(2.0))
+
+
+@jit
+def update_each(du: Array, threshold: Any, relaxation: float, z: Array, start: int, stop: int) -> None:
+    """Update ``z <- D u + b`` as `bregman_update` does, with each derivative shrunk by itself (anisotropic)."""
+    pairs, _, _, width = z.shape
+    real = z.dtype.type
+    new, old = real(relaxation), real(1.0 - relaxation)
+    for p in range(pairs):
+        for c in range(2):
+            for i in range(start, stop):
+                for j in range(width):
+                    limit = real(weight_at(threshold, p, pairs, i, j))
+                    b = min(max(z[p, c, i, j], -limit), limit)
+                    z[p, c, i, j] = new * du[p, c, i, j] + old * (z[p, c, i, j] - b) + b
+
+
+@jit
 def divide_by_sum(x: Array, along_y: Array, along_x: Array) -> None:
     """Replace `x` by ``x / (along_y(i) + along_x(j))``: the u-step in the basis of the gradient."""
     ys, xs = along_y.astype(x.dtype), along_x.astype(x.dtype)  # or all would be computed in float64
