@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from fracbench.commands import console
@@ -12,8 +13,9 @@ from fracbench.errors import InputError
 from fracbench.harness.config.experiment import Experiment
 from fracbench.harness.config.grid import parse_overrides
 from fracbench.harness.run import sweep
-from fracbench.harness.run.plan import Plan, make_plan, plan_artefact
-from fracbench.harness.run.store import RUNS, STORE, Store
+from fracbench.harness.run.plan import Plan, PlannedPoint, make_plan, plan_artefact
+from fracbench.harness.run.point import Point
+from fracbench.harness.run.store import RUNS, STORE, Row, Store
 
 
 def run_experiment(
@@ -37,11 +39,15 @@ def run_experiment(
     workers = jobs or plan.config.parallel.jobs
     if dry_run:
         say_cost(plan, workers, rerun_failed=rerun_failed)
+        if experiment.artefact == "protocol_search":
+            _say_search(experiment, plan)
         return 0
     from fracbench.studies.registry import render, require_renderer
 
     require_renderer(experiment, plan)
     report = run_plan(plan, experiment.name, workers, rerun_failed=rerun_failed)
+    if experiment.artefact == "protocol_search":
+        _search(experiment, plan, workers)
     artefact = render(experiment, plan, report.rows, plan.config.results)
     _say_computed(report)
     for title, view in artefact.views:
@@ -95,6 +101,39 @@ def _distinct(values: Sequence[Any]) -> Any:
 
     plain = [yaml.safe_load(value) if isinstance(value, str) else value for value in dict.fromkeys(values)]
     return plain[0] if len(plain) == 1 else plain
+
+
+def _search(experiment: Experiment, plan: Plan, jobs: int) -> None:
+    """Run the search of an experiment, or the rest of it; its points are computed here if `jobs` is 1."""
+    from fracbench.data.files import ensure_folder
+    from fracbench.studies.protocol_search.artefact import journals, printed_numbers
+    from fracbench.studies.protocol_search.search import run_search
+    from fracbench.studies.protocol_search.space import settings_of
+
+    settings = settings_of(experiment, plan)
+    folder = ensure_folder(journals(experiment, plan))
+    total = sum(stage.size for stage in settings.stages)
+    data = None if plan.folder is None else plan.folder.resolve()
+    with Store(plan.config.results / STORE) as store, console.progress(total, "configurations") as advance:
+
+        def compute(points: Mapping[str, Point]) -> Mapping[str, Row]:
+            if jobs == 1:
+                return sweep.compute_here(points, store, data)
+            planned = tuple(PlannedPoint(point, {}) for point in points.values())
+            return sweep.run(replace(plan, points=planned), store, jobs=jobs).rows
+
+        run_search(settings, folder, printed_numbers(plan), compute, advance)
+
+
+def _say_search(experiment: Experiment, plan: Plan) -> None:
+    from fracbench.studies.protocol_search.artefact import journals
+    from fracbench.studies.protocol_search.search import stored_trials
+    from fracbench.studies.protocol_search.space import settings_of
+
+    settings = settings_of(experiment, plan)
+    done = len(stored_trials(settings, journals(experiment, plan)))
+    total = sum(stage.size for stage in settings.stages)
+    console.say(f"search: {total} configurations of {len(settings.switches)} switches, {done} done")
 
 
 def run_plan(plan: Plan, name: str, jobs: int, *, rerun_failed: bool = False) -> sweep.Report:

@@ -108,6 +108,16 @@ def endpoint_error(flow: Any, truth: Any) -> Map:
     return _error_map(_distances, flow, truth)
 
 
+def with_unknown_as_zero(truth: Any) -> NDArray[Any]:
+    """Return a true flow, (2, H, W), that is 0 where it is unknown: for a scoring that takes all pixels.
+
+    It is the switch ``score=unknown_as_zero`` (docs/switches.md). Unknown is a component that is NaN or above 1e9.
+    """
+    truth = np.asarray(truth)
+    known = (np.abs(truth) <= _UNKNOWN_ABOVE).all(axis=0)
+    return np.where(known, truth, truth.dtype.type(0))
+
+
 def robustness(epe: Any, threshold: float) -> float:
     """Return R: the share of pixels, in per cent, whose end-point error is larger than `threshold` pixels.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, make_dataclass
+from dataclasses import dataclass, field, make_dataclass
 from typing import Any
 
 from fracbench.errors import InputError
@@ -44,7 +44,32 @@ class AdaptiveAlpha:
             raise InputError(f"option 'window' must be at least 1, 'shown' 0; got {self.window} and {self.shown}")
 
 
-_BY_ARTEFACT: dict[str, type] = {"adaptive_alpha": AdaptiveAlpha, "family": Family}
+@dataclass(frozen=True)
+class ProtocolSearch:
+    """Of ``protocol_search``: see `fracbench.studies.protocol_search.space.Settings`."""
+
+    space: dict[str, Any] = field(default_factory=dict)
+    stages: list[Any] = field(default_factory=list)
+    first: list[str] = field(default_factory=list)
+    stop_above: float = 0.25
+    batch: int = 20
+
+    def __post_init__(self) -> None:
+        if self.batch < 1 or not self.stop_above > 0.0:
+            raise InputError(
+                f"option 'batch' must be at least 1, 'stop_above' above 0; "
+                f"got {self.batch} and {self.stop_above:g}"
+            )
+        for part, switches in self.space.items():
+            if not isinstance(switches, dict):
+                raise InputError(f"option 'space' must have lists of values by switch in {part}, got {switches!r}")
+
+
+_BY_ARTEFACT: dict[str, type] = {
+    "adaptive_alpha": AdaptiveAlpha,
+    "family": Family,
+    "protocol_search": ProtocolSearch,
+}
 #: Types of the options of other artefacts. An artefact that is in neither dictionary has no options.
 _TYPES: dict[str, dict[str, Any]] = {
     "frames": {"sequences": list[str] | None},

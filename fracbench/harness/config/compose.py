@@ -37,7 +37,7 @@ SETTINGS = (
     *PARALLEL,
 )  # fmt: skip
 _WHOLE = ("context", "shift", "margin", "seed")
-SCORES = ("frame", "structure", "fluid")
+SCORES = ("frame", "structure", "fluid", "unknown_as_zero")
 N_SHIFTS = 25
 
 _ADDRESS = re.compile(r"(tcp|tls|ucx|wss?)://[^\s/]+:\d{1,5}")

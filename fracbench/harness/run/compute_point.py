@@ -20,7 +20,7 @@ from fracbench.entry_points import described
 from fracbench.errors import FracbenchError, InputError
 from fracbench.evaluation.class_errors import errors_by_class, errors_by_mask
 from fracbench.evaluation.fluid_errors import GRID, derivative_errors, errors_by_gradient, grid_points
-from fracbench.evaluation.metrics import flow_errors, outliers
+from fracbench.evaluation.metrics import flow_errors, outliers, with_unknown_as_zero
 from fracbench.harness.run import provenance
 from fracbench.harness.run.message import Outcome
 from fracbench.harness.run.point import MEASURES, Point, Scene
@@ -101,6 +101,8 @@ def _errors(point: Point, folder: Path | None, flow: Any, truth: Any) -> dict[st
         return {"n_pixels": 0, "n_unknown": flow[0].size, "n_nonfinite": n_bad}
     pair = _sequence_of(point, folder)
     inside = (slice(None), slice(None)) if point.region is None else point.region.inside
+    if point.score == "unknown_as_zero":
+        truth = with_unknown_as_zero(truth)
     errors = vars(flow_errors(flow, truth))
     names = ("aae", "aepe", "sdae", "n_pixels", "n_unknown", "n_nonfinite")
     result: dict[str, Any] = {name: errors[name] for name in names}

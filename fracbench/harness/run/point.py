@@ -38,9 +38,9 @@ class Point:
     `FlowParams` or another frozen dataclass; `context` counts pixels around the region that take part in the
     computation; `data_digest` is the data's SHA-256; `noise` (gray levels) and `seed` are of a rendered scene,
     whose other settings are in `scene` where they are unusual. `score` is ``"frame"``, ``"structure"`` for errors
-    by class of pixels as well, ``"fluid"`` for errors of derivatives as well, or one of `MEASURES`; its `options`
-    are numbers or tuples of numbers. `version` is `Method.stamp`; `shape`, that of the frames, tells the cost and
-    is no part of the key.
+    by class of pixels as well, ``"fluid"`` for errors of derivatives as well, ``"unknown_as_zero"`` for unknown
+    true flow counted as 0, or one of `MEASURES`; its `options` are numbers or tuples of numbers. `version` is
+    `Method.stamp`; `shape`, that of the frames, tells the cost and is no part of the key.
     """
 
     method: str

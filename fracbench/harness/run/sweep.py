@@ -122,6 +122,22 @@ def run(
     return report
 
 
+def compute_here(points: Mapping[str, Point], store: Store, folder: Path | None) -> dict[str, Row]:
+    """Return the rows of points by key; those that the store lacks are computed in this process, one by one.
+
+    For many short points that are known one after another: a row costs a transaction, and no message to a worker.
+    """
+    from fracbench.harness.run.compute_point import run_point
+
+    rows = store.get_many(points)
+    for key, point in points.items():
+        if key not in rows:
+            job = Job(key, point, 1, SOLVER_VERSION, provenance.commit(), folder)
+            rows[key] = job.row(run_point(point, folder))
+            store.put(rows[key])
+    return rows
+
+
 def _pool(plan: Plan, jobs: int, store: Store) -> Pool:
     parallel = plan.config.parallel
     if parallel.backend == "dask":

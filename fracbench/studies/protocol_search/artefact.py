@@ -1,0 +1,137 @@
+"""The artefact of the search: its best protocols, and all configurations that were tried."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from fracbench.harness.config.experiment import Experiment
+from fracbench.harness.run.plan import Plan
+from fracbench.harness.run.store import RUNS, Row
+from fracbench.harness.run.tidy import METRICS
+from fracbench.studies import tables
+from fracbench.studies.base import TABLES, Artefact, file_stem
+from fracbench.studies.paper.table2 import printed_table
+from fracbench.studies.protocol_search.search import Trial, stored_trials
+from fracbench.studies.protocol_search.space import Settings, settings_of
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+#: Configurations of a stage in the table.
+_SHOWN = 5
+
+
+def protocol_search(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
+    """Show the best configurations of each stage; see `fracbench.studies.base.Renderer`."""
+    settings = settings_of(experiment, plan)
+    trials = stored_trials(settings, journals(experiment, plan))
+    table = best_table(trials, settings)
+    stem = file_stem(experiment.name, plan, results / TABLES)
+    lines = sentences(trials, settings)
+    text = [f"# {experiment.title}", _LEGEND, tables.to_markdown(table), *lines, *plan.notices]
+    files = [tables.write_table(trial_table(trials, settings), stem), tables.write_markdown(stem, *text)]
+    return Artefact(files, [(experiment.title, tables.rounded(table))], lines)
+
+
+_LEGEND = (
+    "Distance: RMS of ln(ours / printed) over the numbers of Table 2 that the stage is about. Each row is a "
+    "configuration; switches at their value in the grid are left out. The CSV has all configurations; those that "
+    "ended after the first sequences are marked as stopped, and their distance is of these alone."
+)
+
+
+def journals(experiment: Experiment, plan: Plan) -> Path:
+    """Return the folder of the search's journals."""
+    return plan.config.results / RUNS / f"{experiment.name}{plan.mark}"
+
+
+def printed_numbers(plan: Plan) -> dict[tuple[str, str, str], float]:
+    """Return the numbers of Table 2 by method, sequence and metric.
+
+    A scene that the paper does not have takes the numbers of the sequence for which it stands, in the order of the
+    paper: so a search can be tried without the data.
+    """
+    printed = printed_table().set_index(["method", "sequence"])
+    names = list(dict.fromkeys(printed.index.get_level_values("sequence")))
+    sequences = list(dict.fromkeys(planned.labels["sequence"] for planned in plan.points))
+    stand_ins = {name: name if name in names else names[i % len(names)] for i, name in enumerate(sequences)}
+    return {
+        (planned.point.method, name, metric): float(printed.loc[(planned.point.method, stand_ins[name]), metric])
+        for planned in plan.points
+        for name in [planned.labels["sequence"]]
+        for metric in METRICS
+    }
+
+
+def trial_table(trials: Sequence[Trial], settings: Settings) -> pd.DataFrame:
+    """Return a row a configuration: stage, study, number, distances, and the value of each switch."""
+    import pandas as pd
+
+    records = []
+    for trial in trials:
+        record: dict[str, Any] = {"stage": trial.stage, "study": trial.study, "number": trial.number}
+        record |= {"stopped": trial.stopped, "distance": round(trial.distance, 6)}
+        for method in dict.fromkeys(method for method, _ in settings.points):
+            logs = [log for (name, *_), log in trial.logs.items() if name == method]
+            record[f"distance {method}"] = round(float(np.sqrt(np.mean(np.square(logs)))), 6) if logs else None
+        record |= {switch.name: trial.values.get(switch.name) for switch in settings.switches}
+        records.append(record)
+    return pd.DataFrame(records)
+
+
+def best_table(trials: Sequence[Trial], settings: Settings) -> pd.DataFrame:
+    """Return the best configurations of each stage, with the numbers within 5 and 10 % of the printed ones."""
+    import pandas as pd
+
+    records = []
+    for stage in dict.fromkeys(trial.stage for trial in trials):
+        whole = [trial for trial in trials if trial.stage == stage and not trial.stopped]
+        unique = {repr(sorted(trial.values.items())): trial for trial in sorted(whole, key=_nearest, reverse=True)}
+        for trial in sorted(unique.values(), key=_nearest)[:_SHOWN]:
+            off = np.abs(list(trial.logs.values()))
+            record: dict[str, Any] = {"stage": stage, "distance": trial.distance, "numbers": len(off)}
+            record |= {f"within {p} %": int((off <= math.log(1.0 + p / 100.0)).sum()) for p in (5, 10)}
+            record["settings"] = ", ".join(f"{name}={_word(value)}" for name, value in _turned(trial, settings))
+            records.append(record)
+    columns = ["stage", "distance", "numbers", "within 5 %", "within 10 %", "settings"]
+    return pd.DataFrame(records, columns=columns)
+
+
+def _nearest(trial: Trial) -> tuple[float, str, int]:
+    return trial.distance, trial.study, trial.number
+
+
+def _turned(trial: Trial, settings: Settings) -> list[tuple[str, Any]]:
+    """Return the switches that a trial has at another value than the grid."""
+    usual: dict[str, Any] = {"score": "frame", "margin": 0}
+    for (method, _), point in settings.points.items():
+        values = vars(point.params)
+        usual |= {f"{method}.{name}".rstrip("_"): value for name, value in values.items()}
+        usual |= {name.rstrip("_"): value for name, value in values.items() if name.rstrip("_") not in usual}
+    return [(name, value) for name, value in trial.values.items() if usual.get(name) != value]
+
+
+def _word(value: Any) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def sentences(trials: Sequence[Trial], settings: Settings) -> list[str]:
+    """Say how many configurations each stage tried, and the least distance."""
+    found = []
+    for stage in dict.fromkeys(stage.name for stage in settings.stages):
+        mine = [trial for trial in trials if trial.stage == stage]
+        if not mine:
+            continue
+        distinct = len({repr(sorted(trial.values.items())) for trial in mine})
+        whole = [trial.distance for trial in mine if not trial.stopped]
+        least = f"the least distance is {min(whole):.4f}" if whole else "none ran to its end"
+        found.append(
+            f"{stage}: {len(mine)} configurations, {distinct} distinct, {len(mine) - len(whole)} stopped after "
+            f"{' and '.join(settings.first)}; {least}."
+        )
+    return found
