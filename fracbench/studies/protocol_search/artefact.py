@@ -108,12 +108,7 @@ def _nearest(trial: Trial) -> tuple[float, str, int]:
 
 def _turned(trial: Trial, settings: Settings) -> list[tuple[str, Any]]:
     """Return the switches that a trial has at another value than the grid."""
-    usual: dict[str, Any] = {"score": "frame", "margin": 0}
-    for (method, _), point in settings.points.items():
-        values = vars(point.params)
-        usual |= {f"{method}.{name}".rstrip("_"): value for name, value in values.items()}
-        usual |= {name.rstrip("_"): value for name, value in values.items() if name.rstrip("_") not in usual}
-    return [(name, value) for name, value in trial.values.items() if usual.get(name) != value]
+    return [(name, value) for name, value in trial.values.items() if settings.usual.get(name) != value]
 
 
 def _word(value: Any) -> str:

@@ -6,6 +6,7 @@ it had not been. Points that were computed meanwhile are in the store.
 
 from __future__ import annotations
 
+import json
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import contextmanager
@@ -25,6 +26,8 @@ FAILED = float(np.log(100.0))
 #: Numbers of a method and a sequence in Table 2: the angular errors first, for the two objectives of NSGA-II.
 NUMBERS = ("aae", "sdae", "aepe")
 _POPULATION = 50
+#: Trials at random before TPE has a model.
+_RANDOM = 100
 
 Compute = Callable[[Mapping[str, Point]], Mapping[str, Row]]
 Printed = Mapping[tuple[str, str, str], float]
@@ -137,11 +140,24 @@ class _Study:
                 load_if_exists=True,
             )
         self._given: list[Values] = []
+        self._require_same(path)
+
+    def _require_same(self, path: Path) -> None:
+        """Refuse to go on with the trials of other settings."""
+        settings = self._settings
+        asked = [[switch.name, list(switch.values)] for switch in self._switches]
+        asked += [settings.first, settings.stop_above, settings.batch, self._stage.given]
+        text = json.dumps(asked)
+        if self._study.user_attrs.setdefault("settings", text) != text:
+            raise InputError(f"{path.with_suffix('.jsonl')}: holds a search with other settings; move it away")
+        if not self._finished():
+            self._study.set_user_attr("settings", text)
 
     def enqueue(self, best: Sequence[Values]) -> None:
         """Take the best settings of the stage before: as given, or to begin with."""
         self._given = [dict(values) for values in best[: self._stage.given]] if self._stage.given else []
-        self._beginning = [] if self._stage.given else [dict(values) for values in best[: self._settings.batch]]
+        begin = [self._settings.whole(values, self._name) for values in self._stage.begin]
+        self._beginning = [] if self._stage.given else [*begin, *best][: self._settings.batch]
         if self._stage.given and not self._given:
             raise InputError(f"stage {self._stage.name}: no configuration of the stage before ran to its end")
 
@@ -179,7 +195,7 @@ class _Study:
         seed = int(np.random.SeedSequence([self._seed, first]).generate_state(1)[0])
         if self._sampler == "nsga2":
             return optuna.samplers.NSGAIISampler(population_size=_POPULATION, seed=seed)
-        return optuna.samplers.TPESampler(multivariate=True, n_startup_trials=2 * self._settings.batch, seed=seed)
+        return optuna.samplers.TPESampler(multivariate=True, n_startup_trials=_RANDOM, seed=seed)
 
     def _distributions(self) -> dict[str, Any]:
         from optuna.distributions import CategoricalDistribution, IntDistribution
@@ -198,10 +214,12 @@ class _Study:
         return {**given, **{s.name: s.values[places.get(s.name, 0)] for s in self._switches}}
 
     def _as_asked(self, values: Values) -> dict[str, int]:
+        """Return the places of a configuration's values, as far as this stage searches them."""
+        found = {switch.name: switch.values for switch in self._switches if len(switch.values) > 1}
         return {
-            s.name: s.values.index(values[s.name])
-            for s in self._switches
-            if s.name in values and len(s.values) > 1
+            name: places.index(values[name])
+            for name, places in found.items()
+            if name in values and values[name] in places
         }
 
     def _try(

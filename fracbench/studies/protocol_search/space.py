@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 from fracbench.data.regions import Region
 from fracbench.errors import InputError, unknown_name
 from fracbench.harness.config.experiment import Experiment
-from fracbench.harness.config.records import record
+from fracbench.harness.config.records import mapping, record
 from fracbench.harness.run.plan import Plan
 from fracbench.harness.run.point import Point
 from fracbench.methods.registry import get_method
+from fracbench.model.params import public_name
 from fracbench.studies.options import require_options
 
 #: The part of the space that holds the switches of all methods.
@@ -53,12 +55,15 @@ class Stage:
     given : int
         Take the settings of the other methods from so many of the best of the stages before, and search only the
         switches of `methods`; 0: search all switches, beginning with those best.
+    begin : list of dict
+        Configurations to begin with; switches that one does not name have the grid's values.
     """
 
     methods: list[str]
     trials: int
     seeds: dict[str, Any] = field(default_factory=dict)
     given: int = 0
+    begin: list[Any] = field(default_factory=list)
 
     @property
     def name(self) -> str:
@@ -110,6 +115,25 @@ class Settings:
         """All sequences, the first ones first."""
         return tuple(dict.fromkeys([*self.first, *(sequence for _, sequence in self.points)]))
 
+    @cached_property
+    def usual(self) -> dict[str, Any]:
+        """The grid's value of each switch: that of the first point which has it."""
+        found: dict[str, Any] = {"score": "frame", "margin": 0}
+        for (method, _), point in self.points.items():
+            values = {public_name(name): value for name, value in vars(point.params).items()}
+            found |= {f"{method}.{name}": value for name, value in values.items()}
+            found = values | found
+        return {switch.name: found[switch.name] for switch in self.switches}
+
+    def whole(self, values: Values, where: str) -> dict[str, Any]:
+        """Return a configuration with the grid's values of the switches that it does not name."""
+        for name, value in values.items():
+            if name not in self.usual:
+                raise unknown_name("switch", name, list(self.usual), where)
+            if value not in next(switch.values for switch in self.switches if switch.name == name):
+                raise InputError(f"{where}: {name}={value} is not among the values that are searched")
+        return {**self.usual, **values}
+
     def searched(self, stage: Stage) -> list[Switch]:
         """Return the switches that a stage searches."""
         parts = stage.methods if stage.given else [SHARED, *stage.methods]
@@ -141,15 +165,21 @@ def settings_of(experiment: Experiment, plan: Plan) -> Settings:
                 raise unknown_name("method", method, methods, f"{where}, stages")
     if stages[0].given:
         raise InputError(f"{where}: the first stage has nothing that could be `given`")
+    if any(stage.given and stage.begin for stage in stages):
+        raise InputError(f"{where}: a stage has `given` or `begin`, not both")
     found = {sequence for _, sequence in points}
     first = tuple(sequence for sequence in options.first if sequence in found)
     if plan.small:
         stages = tuple(replace(stage, trials=min(stage.trials, options.batch)) for stage in stages)
     switches = tuple(_switches(options.space, methods, where))
     settings = Settings(switches, stages, first, options.stop_above, options.batch, points)
+    for stage in stages:
+        for values in stage.begin:
+            settings.whole(mapping(values, f"{where}, begin"), f"{where}, begin")
+    one_each = dict(points.keys())
     for switch in switches:  # a value that is not allowed is refused before anything is computed
         for value in switch.values:
-            for method, sequence in points:
+            for method, sequence in one_each.items():
                 settings.point(method, sequence, {switch.name: value})
     return settings
 
