@@ -145,18 +145,10 @@ def test_points_differ_from_the_grids_by_the_values_that_their_method_uses():
     base = chosen.points["tvl1_sb", "synthetic_flat"]
     values = {"n_warps": 2, "tvl1.tau": 0.1, "tvl1_sb.lambda_l": 3, "margin": 4, "score": "unknown_as_zero"}
     point = chosen.point("tvl1_sb", "synthetic_flat", values)
-    planned = make_plan(
-        [
-            *GRID[:1],
-            "sequence=synthetic_flat",
-            "method=tvl1_sb",
-            "lambda_sb=10",
-            "n_warps=2",
-            "lambda_l=3",
-            "margin=4",
-            "score=unknown_as_zero",
-        ]
+    words = (
+        "sequence=synthetic_flat method=tvl1_sb lambda_sb=10 n_warps=2 lambda_l=3 margin=4 score=unknown_as_zero"
     )
+    planned = make_plan(["protocol=published", *words.split()])
     assert point.key == planned.points[0].point.key != base.key
     assert chosen.point("tvl1_sb", "synthetic_flat", {"tvl1.tau": 0.1}).key == base.key
 
