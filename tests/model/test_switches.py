@@ -379,6 +379,17 @@ def test_a_sweep_of_the_stencil_against_its_literal_twin(rng, order, border):
     np.testing.assert_allclose(derivatives, operator.apply(twin), atol=1e-12)
 
 
+def test_the_printed_divergence_is_minus_the_adjoint(rng):
+    """So it needs no switch: derivatives across the border are 0, and so are d and b there."""
+    operator = ForwardDifferences(1.0, SHAPE)
+    w = operator.apply(rng.normal(0.0, 1.0, SHAPE))
+    (dx, dy), printed = w[0], np.zeros(SHAPE)
+    for i in range(SHAPE[0]):
+        for j in range(SHAPE[1]):
+            printed[i, j] = dx[i, j] - (dx[i, j - 1] if j else 0.0) + dy[i, j] - (dy[i - 1, j] if i else 0.0)
+    np.testing.assert_allclose(printed, -operator.adjoint(w), atol=1e-12)
+
+
 def test_dual_steps_of_tv_l1_may_be_several_to_one_v(rng):
     v = rng.normal(0.0, 1.0, (2, *SHAPE))
     once, thrice = (TVDual(SHAPE, 0.3, 0.25, np.float64, sweeps) for sweeps in (1, 3))
