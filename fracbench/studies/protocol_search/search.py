@@ -145,7 +145,7 @@ class _Study:
     def _require_same(self, path: Path) -> None:
         """Refuse to go on with the trials of other settings."""
         settings = self._settings
-        asked = [[switch.name, list(switch.values)] for switch in self._switches]
+        asked: list[Any] = [[switch.name, list(switch.values)] for switch in self._switches]
         asked += [settings.first, settings.stop_above, settings.batch, self._stage.given]
         text = json.dumps(asked)
         if self._study.user_attrs.setdefault("settings", text) != text:
