@@ -155,6 +155,8 @@ def coarse_to_fine(
     dtype = np.dtype(params.dtype)
     shapes = pyramid.scale_shapes(frame0.shape, params.eta, params.n_scales)
     frame0, frame1 = without_masked(frame0, frame1, mask)
+    if params.normalisation:
+        frame0, frame1 = pyramid.normalise(frame0, frame1, params.normalisation, dtype)
     make_residual = prepare_data(frame0, frame1, params)
     shares = None if mask is None else valid_shares(mask, shapes, params.eta, dtype)
     pyramids = parallel_map(

@@ -132,6 +132,9 @@ class FlowParams:
                             low=0.0, high=1.0)
     occlusion: Literal["median", "none", "both"] = _param(
         "median", "weighting by visibility: of neighbours in the weighted median, or of these and of the data")
+    normalisation: float = _param(
+        0.0, "standard deviation of the window whose mean and contrast normalise the frames, pixels; 0: none",
+        low=0.0, high=100.0)
     alpha_smooth: float = _param(1.5, "order of the second part q of the flow u = p + q; alpha is that of p",
                                  low=0.0, high=4.0)
     smooth_weight: float = _param(2.0, "weight of the second part's regularity", low=0.0, open_low=True)

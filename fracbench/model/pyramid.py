@@ -20,6 +20,8 @@ SIGMA_ZERO = 0.6
 MIN_DIAGONAL = 16
 #: ...and each side holds the bicubic stencil.
 MIN_SIDE = 4
+#: Contrast of the noise, gray levels: `normalise` does not raise it to full size where nothing else is seen.
+NOISE = 10.0
 #: Gaussian kernels end here, in standard deviations.
 TRUNCATE = 5.0
 
@@ -63,6 +65,20 @@ def scaling(frame0: Array, frame1: Array, intensity: str = "joint") -> tuple[flo
     low = min(float(frame0.min()), float(frame1.min()))
     high = max(float(frame0.max()), float(frame1.max()))
     return (low, brightest / (high - low)) if high > low else (0.0, 1.0)
+
+
+def normalise(frame0: Array, frame1: Array, sigma: float, dtype: np.dtype) -> tuple[Array, Array]:
+    """Return both frames (H, W) without their local mean, over their local contrast, stretched together.
+
+    ``(I - m) / sqrt(s^2 + NOISE^2)``, m and s^2 the mean and the variance of I, in gray levels of 0..255, under a
+    Gaussian of standard deviation `sigma` pixels. A light whose strength changes slowly over the image, and from
+    frame to frame, drops out.
+    """
+    first, second = stretch(frame0, frame1, dtype)
+    for frame in (first, second):
+        frame -= smooth(frame, sigma)
+        frame /= np.sqrt(smooth(frame * frame, sigma) + dtype.type(NOISE**2))
+    return stretch(first, second, dtype)
 
 
 def smooth(image: Array, sigma: float) -> Array:

@@ -1,12 +1,24 @@
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
-from fracbench.model.pyramid import MIN_SIDE, SIGMA_ZERO, build, scale_shapes, smooth, stretch, upsample_flow
+from fracbench.model.pyramid import (
+    MIN_SIDE,
+    NOISE,
+    SIGMA_ZERO,
+    build,
+    normalise,
+    scale_shapes,
+    smooth,
+    stretch,
+    upsample_flow,
+)
 
 
 @pytest.fixture
@@ -195,3 +207,34 @@ def test_a_given_gain_replaces_the_ratio(gain):
     assert result.dtype == np.float32
     np.testing.assert_allclose(result[0], 1.5 * gain, rtol=1e-6)
     np.testing.assert_allclose(result[1], -2.0 * gain, rtol=1e-6)
+
+
+# -- normalisation -------------------------------------------------------------------------------
+
+
+def test_normalised_frames_are_those_of_a_literal_twin(rng):
+    """By SciPy's Gaussian, the formula of the docstring; both frames are stretched together at the end."""
+    frames = rng.uniform(0, 255, (40, 50)), 40 + 0.5 * rng.uniform(0, 255, (40, 50))
+    frames[0][0, :2] = 0, 255  # the first stretch then changes nothing
+
+    def literal(image, sigma=5.0):
+        blur = functools.partial(ndimage.gaussian_filter, sigma=sigma, mode="reflect", truncate=5.0)
+        mean = blur(image)
+        return (image - mean) / np.sqrt(blur((image - mean) ** 2) + NOISE**2)
+
+    expected = stretch(*map(literal, frames), np.dtype(float))
+    found = normalise(*frames, 5.0, np.dtype(float))
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+    assert min(map(np.min, found)) == 0 and max(map(np.max, found)) == pytest.approx(255)
+
+
+def test_gain_and_offset_of_a_frame_drop_out(rng):
+    frame = rng.uniform(0, 255, (60, 60))
+    first, second = normalise(frame, 0.7 * frame + 20, 8.0, np.dtype(float))
+    # but for the noise, whose contrast is 10 of some 70 gray levels, they are equal
+    assert np.abs(first - second).max() < 3.0 < np.abs(frame - (0.7 * frame + 20)).max()
+
+
+def test_a_frame_without_contrast_is_no_division_by_zero():
+    found = normalise(np.full((20, 20), 7.0), np.full((20, 20), 7.0), 4.0, np.dtype(np.float32))
+    assert np.isfinite(found).all() and np.ptp(found) < 1e-3
