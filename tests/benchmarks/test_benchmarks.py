@@ -13,12 +13,14 @@ import elimination
 import growth
 import jobs
 import numpy as np
+import openpiv_images
 import pandas as pd
 import pytest
 import roofline
 import scaling
 
 from fracbench import estimate_flow
+from fracbench.data.files import read_image
 from fracbench.harness.config.paths import checkout
 
 
@@ -102,3 +104,30 @@ def test_each_script_says_how_it_is_called(script):
     environment = {**os.environ, "PYTHONPATH": str(checkout())}
     said = subprocess.check_output([sys.executable, script.__file__, "--help"], text=True, env=environment)
     assert Path(script.__file__).name in said and script.__doc__.split()[0] in said
+
+
+def test_real_images_are_compared_with_openpiv_on_its_grid(monkeypatch, tmp_path, capsys):
+    """The pair that its package holds twice gives the difference of the two flows by hand."""
+    pytest.importorskip("openpiv", reason="needs the extra `piv`")
+    monkeypatch.setattr(openpiv_images, "SIDE", 168)
+    name, files = next(iter(openpiv_images.PAIRS.items()))
+    monkeypatch.setattr(openpiv_images, "PAIRS", {name: files, "gone": ("a.tif", "b.tif")})
+    assert openpiv_images.main([f"paths.results={tmp_path}"]) == 0
+    out, err = capsys.readouterr()
+    assert "agreement only" in out and "no truth is known" in out
+    assert "gone: skipped: OpenPIV's package does not hold a.tif and b.tif" in err
+    row = pd.read_csv(tmp_path / "runs" / "bench" / "openpiv_images.csv").iloc[0]
+    assert (row["pair"], row["height"], row["width"]) == (name, 168, 168)
+    frames = [openpiv_images.central(read_image(openpiv_images.pictures() / file)) for file in files]
+    ours, theirs = (estimate_flow(*frames, **by).flow for by in ({"protocol": "fluid"}, {"method": "openpiv"}))
+    distances = [np.hypot(*(ours - theirs)[:, y, x]) for y in range(8, 161, 8) for x in range(8, 161, 8)]
+    assert row["difference"] == pytest.approx(np.median(distances), abs=2e-4)
+    assert row["openpiv"] == pytest.approx(5.0, abs=1.0) and row["difference"] < 0.5
+    assert (tmp_path / "runs" / "bench" / f"openpiv_images_{name}.png").stat().st_size > 10_000
+
+
+def test_without_openpiv_its_images_are_skipped_with_the_reason(monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(openpiv_images, "pictures", lambda: None)
+    assert openpiv_images.main([f"paths.results={tmp_path}"]) == 0
+    assert "skipped: OpenPIV, whose pictures these are, is not installed: pip install" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []

@@ -5,7 +5,7 @@ import pytest
 from matplotlib.quiver import Quiver
 
 from fracbench.data.field import Field
-from fracbench.figures.fields import arrow_figure, top_speed, top_vorticity, vorticity_figure
+from fracbench.figures.fields import arrow_figure, arrow_panels, top_speed, top_vorticity, vorticity_figure
 from fracbench.figures.style import render
 
 H, W = 24, 36
@@ -104,3 +104,13 @@ def test_one_scale_serves_several_fields():
     assert fig.axes[0].images[0].get_clim() == (0.0, 5.0)
     assert 1 / quiver(fig).scale == pytest.approx(1.4 * 4 / 5)
     assert vorticity_figure(field(vorticity=1.0), top=3.0).axes[0].images[0].get_clim() == (-3.0, 3.0)
+
+
+def test_fields_beside_each_other_share_one_scale():
+    fig = arrow_panels({"ours": field(u=2.0), "theirs": field(u=-4.0)}, 8, title="agreement")
+    panels = fig.axes[:2]
+    assert [ax.get_title() for ax in panels] == ["ours", "theirs"] and fig.get_suptitle() == "agreement"
+    assert [ax.images[0].get_clim() for ax in panels] == [(0.0, 4.0), (0.0, 4.0)]
+    arrows = [next(child for child in ax.get_children() if isinstance(child, Quiver)) for ax in panels]
+    assert [set(each.U) for each in arrows] == [{2.0}, {-4.0}]
+    assert arrows[0].scale == arrows[1].scale
