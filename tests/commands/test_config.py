@@ -91,7 +91,7 @@ def test_every_command_has_examples():
     ("line", "expected"),
     [
         ("fracbench sw", {"sweep"}),
-        ("fracbench sweep lambd", {"lambda=", "lambda_sb=", "lambda_gradient="}),
+        ("fracbench sweep lambda_s", {"lambda_sb="}),
         ("fracbench sweep region=grove2_", {"region=grove2_A", "region=grove2_B"}),
         ("fracbench experiment fig1", {"fig1"}),
         ("fracbench sweep --dr", {"--dry-run"}),

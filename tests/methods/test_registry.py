@@ -58,6 +58,7 @@ VARIATIONS = {
     "median_radius": ({}, 0, 1),
     "weighted_radius": ({"gradient_scale": 0.1}, 0, 2),  # a flow too long has edges
     "texture": ({}, 0.0, 0.5),
+    "normalisation": ({}, 0.0, 8.0),
     "occlusion": ({}, "median", "both"),
     "intensity": ({}, "joint", "unit"),
     "lambda_factor": ({}, 1.0, 0.5),
