@@ -42,7 +42,8 @@ SHAPES = {
     **dict.fromkeys(SCENES, (128, 160)),
     "corner": (127, 161),
     "zoom": (129, 160),
-    **dict.fromkeys((*SINGLE_STRUCTURE, *MIXED_STRUCTURE), (96, 96)),
+    **dict.fromkeys(SINGLE_STRUCTURE, (96, 96)),
+    **dict.fromkeys(MIXED_STRUCTURE, mixed_structure.SHAPE),
 }
 _MIN_SIDE = 8
 
