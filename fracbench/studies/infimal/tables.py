@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fracbench.data.datasets.synthetic.mixed_structure import MIXED_STRUCTURE
 from fracbench.data.datasets.synthetic.single_structure import SINGLE_STRUCTURE
 from fracbench.errors import InputError
 from fracbench.evaluation.resampling import held_out, leave_one_out, mean_interval
@@ -18,8 +19,8 @@ if TYPE_CHECKING:
 #: Endings of the parts of the experiment: `scenes/single` holds single orders, `scenes/parts` flows in two parts,
 #: and likewise with the name of a protocol in the place of `scenes`.
 SCENES, SINGLE, PARTS = "scenes", "/single", "/parts"
-#: The row of the geometric mean over the scenes of one structure.
-ALL = "all of one structure"
+#: The rows of the geometric means over the scenes of one structure, and over those that mix two.
+ALL, MIXED = "all of one structure", "all mixed"
 METRICS = ("aepe", "aae")
 #: The estimates of the scenes by their columns.
 ESTIMATES = {
@@ -50,8 +51,9 @@ def scene_table(runs: pd.DataFrame) -> pd.DataFrame:
     Columns: ``scene, noise, metric, n``, the mean error ``at_1`` of alpha = 1, and for each of `ESTIMATES` the
     geometric mean over the seeds of its error relative to alpha = 1 with Student's interval: ``one, one_low,
     one_high`` and so on. Orders, and settings of the parts where there are several, are chosen on the other half
-    of the seeds; `oracle` is a bound. The row `ALL` averages over the scenes of one structure, seed by seed. Seeds
-    with an unknown error are left out.
+    of the seeds; `oracle` is a bound. The row `ALL` averages over the scenes of one structure, seed by seed, and
+    the row `MIXED` over those that mix; ``own`` is there the best order for all of these. Seeds with an unknown
+    error are left out.
     """
     import pandas as pd
 
@@ -73,6 +75,9 @@ def scene_table(runs: pd.DataFrame) -> pd.DataFrame:
             if lone:
                 every = {key: np.mean([ratios[name][key] for name in lone], axis=0) for key in ESTIMATES}
                 ratios[ALL] = every
+            if mixed := [found[name][:2] for name in found if name in MIXED_STRUCTURE]:
+                both_kinds = [np.mean(logs, axis=0) for logs in zip(*mixed, strict=True)]
+                ratios[MIXED] = _estimates(both_kinds[0], both_kinds[1], one, both)
             for name, estimates in ratios.items():
                 at_1 = found[name][2] if name in found else math.nan
                 record = {"scene": name, "noise": noise, "metric": metric, "n": len(estimates["parts"])}

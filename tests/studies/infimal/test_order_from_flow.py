@@ -18,7 +18,7 @@ from fracbench.harness.config.grid import parse_overrides
 from fracbench.harness.run.plan import plan_experiment
 from fracbench.studies.infimal.artefact import order_from_flow
 from fracbench.studies.infimal.figures import parts_panel, share_of_change
-from fracbench.studies.infimal.tables import ALL, frame_table, scene_table, sentences
+from fracbench.studies.infimal.tables import ALL, MIXED, frame_table, scene_table, sentences
 
 #: The best order of each scene, and the error of the flow in two parts relative to alpha = 1.
 BEST = {"lone_edge": (1.0, 1.1), "lone_affine": (1.6, 0.5), "mixed_patch": (1.2, 0.8)}
@@ -46,7 +46,7 @@ def scene_runs(n=20, spread=0.01):
 class TestScenes:
     def test_ratios_are_those_of_the_errors(self):
         table = scene_table(scene_runs()).query("metric == 'aepe'").set_index("scene")
-        assert [*table.index] == [*BEST, ALL]
+        assert [*table.index] == [*BEST, ALL, MIXED]
         np.testing.assert_allclose(table.loc[[*BEST], "parts"], [ratio for _, ratio in BEST.values()], rtol=0.01)
         own = [math.exp(-((1.0 - place) ** 2)) for place, _ in BEST.values()]
         np.testing.assert_allclose(table.loc[[*BEST], "own"], own, rtol=0.01)
@@ -58,6 +58,19 @@ class TestScenes:
         assert (table["parts_low"] < table["parts"]).all() and (table["parts"] < table["parts_high"]).all()
         assert (table["oracle"] <= table["own"] + 1e-12).all()
         assert set(table["n"]) == {20}
+
+    def test_the_scenes_that_mix_have_one_order_for_them_all(self):
+        runs = scene_runs()
+        other = runs[runs["sequence"] == "synthetic_mixed_patch"].assign(sequence="synthetic_mixed_vortex")
+        other["aepe"] *= np.exp(other["alpha"] * -1.2)  # its valley is at 1.8, and that of both at 1.5
+        parts = other["part"] == "scenes/parts"
+        other.loc[parts, "aepe"] *= math.exp(1.2)
+        table = scene_table(pd.concat([runs, other])).query("metric == 'aepe'").set_index("scene")
+        both = table.loc[["mixed_patch", "mixed_vortex"]]
+        assert table.loc[MIXED, "parts"] == pytest.approx(math.sqrt(both["parts"].prod()), rel=1e-6)
+        # 1.4 and 1.6 are as good: e^(0.1^2 - 0.5^2)
+        assert table.loc[MIXED, "own"] == pytest.approx(math.exp(0.1**2 - 0.5**2), rel=0.02)
+        assert table.loc[MIXED, "own"] > math.sqrt(both["own"].prod()) + 0.01
 
     def test_several_settings_are_one_for_all_scenes_chosen_on_other_seeds(self):
         runs = scene_runs()
