@@ -20,7 +20,7 @@ from fracbench.model.params import SWITCHES, FlowParams
 # Parameters of extensions: the paper's methods do not use them, nor do the keys of their results.
 _BEYOND = frozenset({
     "alpha_flat", "alpha_edge", "alpha_corner", "alpha_texture", "lambda_gradient", "derivatives", "edge_decay",
-    "edge_power", "median_radius", "weighted_radius", "texture", "occlusion"
+    "edge_power", "median_radius", "weighted_radius", "texture", "occlusion", "lambda_growth"
 })  # fmt: skip
 # Those of the flow in two parts.
 _INFIMAL = frozenset({"alpha_smooth", "smooth_weight", "smooth_penalty"})
@@ -157,7 +157,7 @@ register(
         _BREGMAN | _BREGMANS | _BEYOND,
         # orders without weight at a pixel slow the convergence of its flow, so that more iterations are needed
         defaults={"n_warps": 5, "max_iter": 10},
-        younger={"texture": 0.0, "occlusion": "median"},
+        younger={"texture": 0.0, "occlusion": "median", "lambda_growth": 0.0},
     )
 )
 register(
@@ -170,7 +170,7 @@ register(
         (_BREGMAN | _BEYOND | _INFIMAL | {"alpha", "boundary"})
         - {"alpha_flat", "alpha_edge", "alpha_corner", "alpha_texture", "tol", "max_inner"},
         defaults={"alpha": 1.0, "n_warps": 5, "max_iter": 10},
-        younger={"smooth_penalty": 1.0},
+        younger={"smooth_penalty": 1.0, "lambda_growth": 0.0},
     )
 )
 for _peer in PEERS:

@@ -140,6 +140,9 @@ class FlowParams:
     smooth_weight: float = _param(2.0, "weight of the second part's regularity", low=0.0, open_low=True)
     smooth_penalty: float = _param(1.0, "split Bregman penalty of the second part, as a multiple of lambda_sb",
                                    low=0.0, open_low=True)
+    lambda_growth: float = _param(
+        0.0, "g in lambda r^g, the weight of the data on a scale whose sides are 1/r of the frames'; 0: lambda",
+        low=0.0, high=4.0)
 
     # Other readings of Algorithms 1 to 4 (docs/switches.md): each is off at its default.
     intensity: Literal["joint", "each", "unit", "given"] = _switch(

@@ -84,6 +84,7 @@ VARIATIONS = {
     "alpha_smooth": ({}, 1.5, 0.7),
     "smooth_weight": ({}, 2.0, 0.5),
     "smooth_penalty": ({}, 1.0, 10.0),
+    "lambda_growth": ({}, 0.0, 2.0),
 }
 #: The values that `tvl1_sb_alpha_ic` allows; it refuses others.
 ONLY = {"boundary": "reflect", "u_solver": "exact", "inner": "warm"}

@@ -9,6 +9,7 @@ import numpy as np
 from fracbench.model import pyramid
 from fracbench.model.data_terms.brightness import Brightness, Residual, TwoSided
 from fracbench.model.data_terms.gradients import ImageAndGradient
+from fracbench.model.data_terms.grown import grown
 from fracbench.model.data_terms.occlusion import OcclusionWeighted, Visibility
 from fracbench.model.data_terms.texture import textures
 from fracbench.model.kernels.arrays import Array
@@ -21,10 +22,16 @@ def residual_factory(
     """Return the function that makes the residual of each scale from both frames there.
 
     Textures are taken at full resolution and follow the frames down the pyramid (Wedel et al. 2009): textures of a
-    coarse scale would lack the structure by which large motions are found.
+    coarse scale would lack the structure by which large motions are found. With `lambda_growth` the weight of the
+    data grows towards the coarse scales.
     """
-    if not params.texture:
-        return make_residual
+    make = _by_textures(frame0, frame1, params) if params.texture else make_residual
+    return grown(make, frame0.shape, params.lambda_growth) if params.lambda_growth else make
+
+
+def _by_textures(
+    frame0: Array, frame1: Array, params: FlowParams
+) -> Callable[[Array, Array, FlowParams], Residual]:
     pair = textures(*pyramid.stretch(frame0, frame1, np.dtype(params.dtype)), params.texture)
     shapes = pyramid.scale_shapes(frame0.shape, params.eta, params.n_scales)
     scales = [pyramid.build(pyramid.smooth(t, params.presmoothing), shapes, params.eta) for t in pair]

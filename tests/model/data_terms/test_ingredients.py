@@ -32,6 +32,7 @@ EVERYTHING = {
     "weighted_radius": 2,
     "texture": 0.9,
     "occlusion": "both",
+    "lambda_growth": 1.5,
 }
 
 
