@@ -13,6 +13,7 @@ from fracbench.studies.accurate import accurate_study
 from fracbench.studies.alpha_map.artefact import adaptive_alpha
 from fracbench.studies.base import Artefact, Renderer
 from fracbench.studies.confidence import confidence
+from fracbench.studies.fluid_protocol import fluid_protocol
 from fracbench.studies.infimal.artefact import order_from_flow
 from fracbench.studies.options import require_options
 from fracbench.studies.paper.alpha_regions import alpha_regions
@@ -34,6 +35,7 @@ RENDERERS: dict[str, Renderer] = {
     "confidence": confidence,
     "convergence": convergence,
     "family": family,
+    "fluid_protocol": fluid_protocol,
     "frames": frames,
     "order_from_flow": order_from_flow,
     "protocol_search": protocol_search,

@@ -94,7 +94,7 @@ def test_transposed_left_matrix_is_the_right_derivative(rng, alpha):
 
 
 @pytest.mark.parametrize(
-    ("alpha", "p"), [*((a, 3) for a in (0.3, 0.7, 1.0, 1.3, 1.9, 2.0)), (2.3, 5), (3.0, 5), (3.6, 6)]
+    ("alpha", "p"), [*((a, 3) for a in (0.3, 0.7, 1.0, 1.3, 1.9, 2.0)), (2.3, 5), (3.0, 5), (3.6, 6), (4.0, 7)]
 )
 def test_derivative_of_a_power_converges_with_order_one(alpha, p):
     exact = math.gamma(p + 1) / math.gamma(p + 1 - alpha)  # times x^(p - alpha), on (0, 1]
