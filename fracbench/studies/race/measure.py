@@ -54,6 +54,7 @@ def _ours() -> list[Contender]:
         Contender("tvl1_sb_alpha_ic", "tvl1_sb_alpha_ic", {"alpha": "1", **fast}),
         Contender("accurate", "tvl1_sb_alpha_map", protocol="accurate"),
         Contender("fast", "tvl1_sb", protocol="fast"),
+        Contender("fluid", "tvl1_sb_alpha_map", protocol="fluid"),
     ]
     return [Contender("tvl1", "tvl1"), Contender("tvl1_sb", "tvl1_sb", fast), *fractional, *beyond]
 
