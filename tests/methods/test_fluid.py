@@ -28,7 +28,7 @@ def test_the_public_particle_images():
         pytest.skip(f"{folder}: not the four pairs whose errors are documented")
     flows = [estimate_flow(pair.frame0, pair.frame1, protocol="fluid").flow for pair in pairs]
     errors = [error(flow, pair.truth) for flow, pair in zip(flows, pairs, strict=True)]
-    assert np.mean(errors) == pytest.approx(0.0653, abs=0.001)
+    assert np.mean(errors) == pytest.approx(0.0662, abs=0.001)
 
 
 @pytest.mark.parametrize("piece", ["gain", "slope", "offset"])
