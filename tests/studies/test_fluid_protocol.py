@@ -124,5 +124,5 @@ def test_the_preset_is_among_its_candidates_and_the_study_leaves_its_files(tmp_p
         "fluid_protocol.md",
         "fluid_protocol_settings.csv",
     ]
-    assert drawn.lines[0] == "particles: AEPE 0.2100 px chosen on the other flows."
+    assert drawn.lines[0] == "particles: AEPE 0.2150 px chosen on the other flows."
     assert registry.require_renderer(experiment) is fluid_protocol
