@@ -116,12 +116,16 @@ def sample_planes(
                     continue
                 x, y = min(max(x, 0.0), width - 1.0), min(max(y, 0.0), height - 1.0)
             left, top = int(x), int(y)
-            if cubic:
-                wx[0], wx[1], wx[2], wx[3] = cubic_weights(x - left)
-                wy[0], wy[1], wy[2], wy[3] = cubic_weights(y - top)
-            else:
-                wx[0], wx[1], wx[2], wx[3] = 0.0, 1.0 - (x - left), x - left, 0.0
-                wy[0], wy[1], wy[2], wy[3] = 0.0, 1.0 - (y - top), y - top, 0.0
+            if not cubic:
+                right, below = min(left + 1, width - 1), min(top + 1, height - 1)
+                sx, sy = real(x - left), real(y - top)
+                for k in range(count):
+                    a = planes[k, top, left] + sx * (planes[k, top, right] - planes[k, top, left])
+                    b = planes[k, below, left] + sx * (planes[k, below, right] - planes[k, below, left])
+                    warped[k, i, j] = a + sy * (b - a)
+                continue
+            wx[0], wx[1], wx[2], wx[3] = cubic_weights(x - left)
+            wy[0], wy[1], wy[2], wy[3] = cubic_weights(y - top)
             for k in range(count):
                 total = real(0.0)
                 for r in range(4):
