@@ -61,6 +61,18 @@ def test_the_protocols_are_those_of_the_stored_tables():
         assert errors == [pytest.approx(found[f"AEPE {method}"], abs=HALF) for method in ("tvl1", "tvl1_sb")]
 
 
+def test_the_scenes_of_two_parts_are_those_of_the_stored_table():
+    table = pd.read_csv(ROOT / "results/committed/tables/order_from_flow.csv").query("metric == 'aepe'")
+    table["scene"] = table["scene"].str.removeprefix("lone_")
+    stored = table.set_index(["scene", "noise"])[["one", "own", "parts"]]
+    text = (ROOT / "docs/beyond.md").read_text(encoding="utf-8")
+    told = {row[0]: row[1:] for row in rows(text) if len(row) == 7 and row[0] in stored.index.levels[0]}
+    assert set(told) == set(stored.index.levels[0])
+    for scene, cells in told.items():
+        first = [numbers(cell)[0] for cell in cells]
+        assert first == pytest.approx([*stored.loc[(scene, 1)], *stored.loc[(scene, 3)]], abs=HALF), scene
+
+
 def document() -> str:
     return (ROOT / "docs/protocol.md").read_text(encoding="utf-8")
 
