@@ -155,11 +155,9 @@ class _Sweep:
         self._folder = None if plan.folder is None else plan.folder.resolve()
         self._timeout, self._commit = plan.config.parallel.timeout, provenance.commit()
         # The longest go first, so that no worker is left with one of them in the end, and the points of a pair
-        # together, so that each worker reads it once.
-        pairs = {(point.dataset, point.sequence): i for i, point in enumerate(todo.values())}
-        self._waiting = deque(
-            sorted(todo, key=lambda key: (*_turn(todo[key]), pairs[todo[key].dataset, todo[key].sequence]))
-        )
+        # together, so that each worker reads or renders it once.
+        pairs = {point.data_digest: i for i, point in enumerate(todo.values())}
+        self._waiting = deque(sorted(todo, key=lambda key: (*_turn(todo[key]), pairs[todo[key].data_digest])))
         self._retries: deque[str] = deque()
         self._attempts = Counter[str]()
         self._under_way: set[str] = set()

@@ -488,6 +488,16 @@ def test_measures_go_first_and_then_the_largest_points(store, monkeypatch):
     assert ["score" in row.spec for row in seen] == [True, False, False, False]
 
 
+def test_the_points_of_a_rendered_pair_are_computed_together(store, monkeypatch):
+    """A worker then renders it once."""
+    replace_point(monkeypatch, lambda point, finish: finish())
+    made = make_plan(["dataset=particles", "sequence=shear", "alpha=1,1.5", "seed=0,1"])
+    assert [planned.labels["seed"] for planned in made.points] == ["0", "1", "0", "1"]
+    seen = []
+    sweep.run(made, store, jobs=1, on_row=seen.append)
+    assert [row.spec.get("seed", 0) for row in seen] in ([0, 0, 1, 1], [1, 1, 0, 0])
+
+
 # -- what stops a sweep ----------------------------------------------------------------------------
 
 
