@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 FRACBENCH := $(BIN)/python -m fracbench
 
 .DEFAULT_GOAL := help
-.PHONY: help setup table2 figures paper beyond publish check check-all test test-python docs lint format clean
+.PHONY: help setup table2 figures paper beyond fluids publish check check-all test test-python docs lint format clean
 
 help: ## list the commands
 	@awk -F ':.*## ' '/^[a-z0-9_-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
@@ -32,6 +32,11 @@ paper: $(VENV)/.ready ## write all tables and figures of the paper and a verdict
 
 beyond: $(VENV)/.ready ## run the experiments beyond the paper and add them to that page
 	$(FRACBENCH) report --beyond
+
+fluids: $(VENV)/.ready ## compare with cross-correlation and other flows on fluids (adds the extras peers and piv)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt \
+	  --editable '.[dev,peers,piv]'
+	$(FRACBENCH) experiment fluids
 
 publish: $(VENV)/.ready ## maintainers: renew results/committed and the answer in README.md from what is computed
 	$(BIN)/python -m tools.publish

@@ -14,6 +14,7 @@ from fracbench.studies.alpha_map.artefact import adaptive_alpha
 from fracbench.studies.base import Artefact, Renderer
 from fracbench.studies.confidence import confidence
 from fracbench.studies.fluid_protocol import fluid_protocol
+from fracbench.studies.fluids.artefact import fluids
 from fracbench.studies.infimal.artefact import order_from_flow
 from fracbench.studies.options import require_options
 from fracbench.studies.paper.alpha_regions import alpha_regions
@@ -36,6 +37,7 @@ RENDERERS: dict[str, Renderer] = {
     "convergence": convergence,
     "family": family,
     "fluid_protocol": fluid_protocol,
+    "fluids": fluids,
     "frames": frames,
     "order_from_flow": order_from_flow,
     "protocol_search": protocol_search,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from fracbench.report.page.elements import Block, Details, Heading, Missing, Section, Text, demoted
 from fracbench.report.page.exhibits import document, drawn, place
-from fracbench.report.sources import Sources
+from fracbench.report.sources import Source, Sources
 
 #: In the order in which they are told.
 EXPERIMENTS = ("alpha_by_structure", "adaptive_alpha", "order_from_flow", "accurate")
@@ -26,13 +26,14 @@ def beyond(sources: Sources) -> Section:
     """
     blocks: list[Block] = [Text(_LEAD)]
     for name in EXPERIMENTS:
-        blocks += _told(name, sources)
+        blocks += told(sources.outline(name), sources)
     blocks.append(document("docs/beyond.md", "The whole story: docs/beyond.md"))
     return Section("beyond", "Beyond the paper", "Beyond the paper", blocks)
 
 
-def _told(name: str, sources: Sources) -> list[Block]:
-    source = sources.outline(name)
+def told(source: Source, sources: Sources) -> list[Block]:
+    """Return an experiment's title, the text before its first table, its figures and its folded tables."""
+    name = source.experiment.name
     heading = Heading(source.experiment.title, f"beyond-{name}")
     path = sources.find(f"tables/{name}{source.suffix}.md")
     if path is None:

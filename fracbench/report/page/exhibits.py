@@ -108,6 +108,8 @@ _VARIANTS = {
     "scenes": "The scenes, under the colours of their classes.",
     "frames": "The first frames, under the colours of their classes.",
     "parts": "Both parts of the flow and their sum in the colours of one scale, and the share of q in its change.",
+    "settings": "Against one setting of the images at a time, and against the local gradient of the true flow.",
+    "flows": "By flow: a mark for each method.",
     "orders": "The first frames, under the colours of their classes and of the orders chosen by the true flow.",
 }
 _ALT = {
@@ -116,6 +118,7 @@ _ALT = {
     "alpha_by_structure": "curves of the error relative to that at alpha 1, a panel a structure",
     "alpha_regions": "curves of mean angular and mean end-point error against alpha, two panels a region",
     "order_from_flow": "flow in colours: both parts and their sum, and a map of the part that carries the change",
+    "fluids": "end-point errors of methods on particle images",
     "frames": "one frame of each of the eight sequences",
     "region_boxes": "frames of the sequences with the boxes of regions A and B drawn on them",
 }

@@ -13,6 +13,7 @@ from fracbench.report.page import background, exhibits
 from fracbench.report.page import sections as pages
 from fracbench.report.page.beyond import beyond
 from fracbench.report.page.elements import Section, render_page
+from fracbench.report.page.fluids import fluids
 from fracbench.report.sources import Sources
 
 _TITLE = "Fractional optical flow: does the paper hold?"
@@ -72,6 +73,7 @@ def sections(sources: Sources, names: Sequence[str]) -> list[Section]:
         exhibits.pictures(sources),
         pages.solver_study(sources),
         beyond(sources),
+        fluids(sources),
         background.errata(),
         background.open_choices(),
         background.conventions(),
@@ -85,6 +87,7 @@ def chosen_sections(sources: Sources, names: Sequence[str]) -> list[Section]:
         "protocol_study": [pages.protocol_study],
         "table2": [pages.table2, exhibits.pictures],
         "solver_study": [pages.solver_study],
+        "fluids": [fluids],
     }
     told = [part(sources) for name, parts in own.items() if name in names for part in parts]
     figures = [exhibits.figures(sources, names)] if set(names) - set(own) else []

@@ -54,6 +54,17 @@ def test_every_experiment_can_be_planned(name):
     assert plan.dataset == "synthetic"
 
 
+def test_the_experiment_of_fluids_has_its_own_data():
+    """Its parts on rendered images by our own methods need nothing else."""
+    plan = scenes("fluids")
+    parts = {planned.labels["part"] for planned in plan.points}
+    ours = {name for name in load_experiment("fluids").grids if not name.endswith(("/peers", "/openpiv"))}
+    assert {name for name in ours if not name.startswith("piv ")} <= parts <= set(load_experiment("fluids").grids)
+    assert {planned.point.score for planned in plan.points} == {"fluid"}
+    assert {planned.labels["margin"] for planned in plan.points} == {"16"}
+    assert len(parts) == len(load_experiment("fluids").grids) or plan.notices
+
+
 def test_table_2_is_the_papers(work):
     """Eight sequences by two methods, under each protocol, in the paper's order."""
     plan = scenes("table2")
