@@ -5,20 +5,28 @@ BIN := $(VENV)/bin
 FRACBENCH := $(BIN)/python -m fracbench
 
 .DEFAULT_GOAL := help
-.PHONY: help setup table2 figures paper beyond fluids publish check check-all test test-python docs lint format clean
+.PHONY: help setup table2 figures paper beyond fluids publish check check-all test test-all test-python docs fuzz mutants \
+  coverage locks licenses lint format clean
 
 help: ## list the commands
 	@awk -F ':.*## ' '/^[a-z0-9_-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)
 
 setup: $(VENV)/.ready ## make the environment (every other command does so when needed)
 
-$(VENV)/.ready: pyproject.toml constraints.txt
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+
+$(VENV)/.ready: pyproject.toml locks/dev.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev]'
+	$(PIP) --require-hashes --requirement locks/dev.txt
+	$(PIP) --no-deps --no-build-isolation --editable .
 	@touch $@
 
-$(VENV)/.docs: $(VENV)/.ready
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[dev,docs]'
+$(VENV)/.tools: $(VENV)/.ready locks/tools.txt
+	$(PIP) --require-hashes --requirement locks/tools.txt
+	@touch $@
+
+$(VENV)/.docs: $(VENV)/.ready locks/docs.txt
+	$(PIP) --require-hashes --requirement locks/docs.txt
 	@touch $@
 
 table2: $(VENV)/.ready ## compute Table 2 of the paper, published beside recomputed
@@ -53,6 +61,23 @@ check-all: ## run all checks of a change, as CI does: lint, test, test-python, c
 
 test: $(VENV)/.ready ## run all tests
 	$(BIN)/python -m pytest --numprocesses 2 --dist loadfile
+
+test-all: $(VENV)/.tools ## run all tests on each supported Python that is installed, and with the lowest versions
+	$(BIN)/nox
+
+fuzz: $(VENV)/.tools ## fuzz the readers of files, words, configurations and stores, 10 minutes each (MINUTES=1)
+	$(BIN)/python tools/fuzz.py --minutes $(or $(MINUTES),10)
+
+mutants: $(VENV)/.tools ## change the code in 200 random places and list the changes that no test sees (MUTANTS=20)
+	$(BIN)/python tools/mutants.py --number $(or $(MUTANTS),200)
+
+coverage: $(VENV)/.tools ## run all tests and print the branches that they take, by room
+	COVERAGE_CORE=ctrace NUMBA_DISABLE_JIT=0 $(BIN)/python tools/coverage_by_room.py
+
+locks: $(VENV)/.tools ## maintainers: renew locks/ from pyproject.toml and constraints.txt
+	for extra in dev docs tools; do $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --extra $$extra \
+	  --constraint constraints.txt --generate-hashes --no-emit-index-url --no-emit-find-links --no-annotate \
+	  --custom-compile-command 'make locks' --output-file locks/$$extra.txt pyproject.toml || exit; done
 
 test-python: $(VENV)/.ready ## test the numerics without compilation, as plain Python
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q $(addprefix tests/model/, $(addsuffix .py, \

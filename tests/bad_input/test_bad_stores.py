@@ -106,14 +106,32 @@ def test_no_side_of_a_comparison(work, place, refused, make, named):
     refused(work, ["compare", str(place), "good.sqlite"], named)
 
 
-def test_a_row_that_is_no_json_is_damage_not_code(work, place, refused):
+#: Column and value of a row that no program of ours has written.
+VALUES = [
+    ("spec", "__import__('os').abort()"),
+    ("spec", "[" * 100_000),
+    ("spec", "[1]"),
+    ("spec", b"\xff"),
+    ("result", "1" * 5000),
+    ("provenance", "null"),
+    ("error", b"\xff"),
+    ("key", b"\xff"),
+    ("created", b"\xff"),
+    ("seconds", "long"),
+    ("attempts", "many"),
+    ("solver_version", 1.5),
+]
+
+
+@pytest.mark.parametrize(("column", "value"), VALUES)
+def test_a_row_that_is_no_json_is_damage_not_code(work, place, refused, column, value):
     """A store is data: its columns are read as JSON, whatever they hold."""
     with Store(place):
         pass
-    row = ("k", "i", "__import__('os').abort()", 1, "done", "{}", "{}", 1, "2026-01-01")
+    row = {"key": "k", "identity": "i", "spec": "{}", "solver_version": 1, "status": "done", "result": "{}"}
+    row |= {"provenance": "{}", "attempts": 1, "created": "2026-01-01", column: value}
     db = sqlite3.connect(place)
-    columns = "key, identity, spec, solver_version, status, result, provenance, attempts, created"
-    db.execute(f"INSERT INTO points ({columns}) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)", row)
+    db.execute(f"INSERT INTO points ({', '.join(row)}) VALUES ({', '.join('?' * len(row))})", [*row.values()])
     db.commit()
     db.close()
     refused(work, ["compare", str(place), str(place)], "is damaged; move it away")

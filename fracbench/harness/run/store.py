@@ -24,6 +24,14 @@ RUNS = "runs"
 STORE = Path(RUNS) / "store.sqlite"
 
 _JSON_COLUMNS = ("spec", "result", "provenance")
+#: Types of the columns as they are read: SQLite itself keeps any type in any column.
+_KINDS: Mapping[str, tuple[type, ...]] = {
+    **dict.fromkeys(("key", "identity", "status", "created"), (str,)),
+    **dict.fromkeys(("solver_version", "attempts"), (int,)),
+    **dict.fromkeys(("seconds", "peak_mib"), (int, float, type(None))),
+    **dict.fromkeys(_JSON_COLUMNS, (dict,)),
+    "error": (str, type(None)),
+}
 _KEYS_PER_QUERY = 500  # below the number of parameters that any SQLite accepts
 
 
@@ -191,7 +199,14 @@ def _encode(row: Row) -> tuple[object, ...]:
 
 def _decode(values: Sequence[Any]) -> Row:
     row = dict(zip(_COLUMNS, values, strict=True))
-    return Row(**row | {name: json.loads(row[name]) for name in _JSON_COLUMNS})
+    try:
+        row |= {name: json.loads(row[name]) for name in _JSON_COLUMNS}
+    except (TypeError, RecursionError) as exc:  # no text; lists in lists without end
+        raise ValueError(f"not JSON: {exc}") from exc
+    for name, kinds in _KINDS.items():
+        if not isinstance(row[name], kinds):
+            raise ValueError(f"{name} is of type {type(row[name]).__name__}")
+    return Row(**row)
 
 
 def _finite(value: Any) -> Any:
