@@ -72,7 +72,7 @@ mutants: $(VENV)/.tools ## change the code in 200 random places and list the cha
 	$(BIN)/python tools/mutants.py --number $(or $(MUTANTS),200)
 
 coverage: $(VENV)/.tools ## run all tests and print the branches that they take, by room
-	COVERAGE_CORE=ctrace NUMBA_DISABLE_JIT=0 $(BIN)/python tools/coverage_by_room.py
+	$(BIN)/python tools/coverage_by_room.py
 
 locks: $(VENV)/.tools ## maintainers: renew locks/ from pyproject.toml and constraints.txt
 	for extra in dev docs tools; do $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --extra $$extra \

@@ -1,7 +1,7 @@
 """Fuzz the doors for files and words of others: ``python tools/fuzz.py --minutes 10 [flo kitti ...]``.
 
-atheris, which is guided by the coverage of the code, starts from the corpus in ``tests/fuzz/corpus``; its own inputs
-are kept in ``build/fuzz``. An input that ends in anything but an answer or one line of refusal is kept there as
+atheris, which is guided by the coverage of the code, starts from the corpus in ``tests/fuzz/corpus``; its own
+inputs go to ``build/fuzz``. An input that ends in anything but an answer or one line of refusal is kept there as
 ``TARGET-crash-*``: fix its cause and move it to the corpus, which the ordinary tests replay.
 """
 

@@ -66,7 +66,7 @@ def concerned(module: Path, root: Path) -> list[list[str]]:
 
 
 def outcome(mutation: Any) -> tuple[str, str]:
-    """Run the tests of a mutant in this process's clone; return the verdict, and the failing test or the change."""
+    """Test a mutant in this process's clone; return the verdict and the failing test or the change."""
     started, diff = monotonic(), ""
     for tests in concerned(mutation.module_path, Path()):
         left = max(SECONDS - (monotonic() - started), 60.0)

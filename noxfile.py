@@ -1,0 +1,35 @@
+"""All tests on each supported Python that is installed, and with the lowest versions of the dependencies."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import nox
+
+PYTHONS = ("3.11", "3.12", "3.13")
+nox.options.default_venv_backend = "venv"
+nox.options.error_on_missing_interpreters = False
+
+
+def test(session: nox.Session) -> None:
+    """Install the project without its dependencies and run the tests; words after ``--`` are pytest's."""
+    session.install("--no-deps", "--no-build-isolation", "--editable", ".")
+    words = session.posargs or ("--numprocesses", "2", "--dist", "loadfile")
+    session.run("python", "-m", "pytest", "-q", *words)
+
+
+@nox.session(python=PYTHONS)
+def tests(session: nox.Session) -> None:
+    """Test with the versions of locks/dev.txt."""
+    session.install("--require-hashes", "--requirement", "locks/dev.txt")
+    test(session)
+
+
+@nox.session(python=PYTHONS[0])
+def lowest(session: nox.Session) -> None:
+    """Test with the lowest version of each direct dependency."""
+    chosen = str(Path(session.create_tmp(), "lowest.txt").resolve())
+    words = ("--resolution", "lowest-direct", "--extra", "dev", "--python-version", PYTHONS[0], "--quiet")
+    session.run("uv", "pip", "compile", *words, "--output-file", chosen, "pyproject.toml", external=True)
+    session.install("--requirement", chosen)
+    test(session)
