@@ -11,11 +11,11 @@ nox.options.default_venv_backend = "venv"
 nox.options.error_on_missing_interpreters = False
 
 
-def test(session: nox.Session) -> None:
+def test(session: nox.Session, *more: str) -> None:
     """Install the project without its dependencies and run the tests; words after ``--`` are pytest's."""
     session.install("--no-deps", "--no-build-isolation", "--editable", ".")
     words = session.posargs or ("--numprocesses", "2", "--dist", "loadfile")
-    session.run("python", "-m", "pytest", "-q", *words)
+    session.run("python", "-m", "pytest", "-q", *more, *words)
 
 
 @nox.session(python=PYTHONS)
@@ -32,4 +32,5 @@ def lowest(session: nox.Session) -> None:
     words = ("--resolution", "lowest-direct", "--extra", "dev", "--python-version", PYTHONS[0], "--quiet")
     session.run("uv", "pip", "compile", *words, "--output-file", chosen, "pyproject.toml", external=True)
     session.install("--requirement", chosen)
-    test(session)
+    # Old versions warn of what their newer dependencies have deprecated.
+    test(session, "-W", "ignore::DeprecationWarning", "-W", "ignore::PendingDeprecationWarning")

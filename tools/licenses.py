@@ -30,12 +30,12 @@ def pins() -> dict[str, str]:
 def licence(name: str) -> str:
     """Return the licence that a package states: an SPDX expression, else its classifiers, else its own words."""
     metadata = distribution(name).metadata
-    if expression := metadata.get("License-Expression"):
-        return expression
+    if "License-Expression" in metadata:
+        return metadata["License-Expression"]
     found = [
         each.rpartition(" :: ")[2] for each in metadata.get_all("Classifier", []) if each.startswith("License")
     ]
-    words = (metadata.get("License") or "").strip().splitlines()
+    words = metadata["License"].strip().splitlines() if "License" in metadata else []
     return ", ".join(name for name in found if name != "OSI Approved") or (words[0] if words else "not stated")
 
 

@@ -179,5 +179,7 @@ def explain(exc: Exception) -> str:
     """Return the meaning of an error of SQLite or the system, and the remedy."""
     if isinstance(exc, OSError):
         return f"{_REMEDIES[sqlite3.SQLITE_CANTOPEN]} ({exc.strerror})"
+    if isinstance(exc, UnicodeDecodeError):  # sqlite3 cannot decode SQLite's own message, which quotes the file
+        return f"{DAMAGED} ({exc})"
     remedy = _REMEDIES.get(_code(exc))
     return f"{remedy} ({exc})" if remedy else str(exc)
