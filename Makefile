@@ -6,7 +6,7 @@ FRACBENCH := $(BIN)/python -m fracbench
 
 .DEFAULT_GOAL := help
 .PHONY: help setup table2 figures paper beyond fluids publish check check-all test test-all test-python docs fuzz mutants \
-  coverage locks licenses lint format clean
+  coverage locks lint format clean
 
 help: ## list the commands
 	@awk -F ':.*## ' '/^[a-z0-9_-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(MAKEFILE_LIST)

@@ -181,5 +181,5 @@ def explain(exc: Exception) -> str:
         return f"{_REMEDIES[sqlite3.SQLITE_CANTOPEN]} ({exc.strerror})"
     if isinstance(exc, UnicodeDecodeError):  # sqlite3 cannot decode SQLite's own message, which quotes the file
         return f"{DAMAGED} ({exc})"
-    remedy = _REMEDIES.get(_code(exc))
-    return f"{remedy} ({exc})" if remedy else str(exc)
+    remedy, said = _REMEDIES.get(_code(exc)), " ".join(str(exc).split())  # it may quote a damaged file
+    return f"{remedy} ({said})" if remedy else said
