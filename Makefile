@@ -75,9 +75,10 @@ coverage: $(VENV)/.tools ## run all tests and print the branches that they take,
 	$(BIN)/python tools/coverage_by_room.py
 
 locks: $(VENV)/.tools ## maintainers: renew locks/ from pyproject.toml and constraints.txt
-	for extra in dev docs tools; do $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --extra $$extra \
+	for lock in dev:3.11 docs:3.11.5 tools:3.11; do $(BIN)/uv pip compile --quiet --universal \
+	  --extra $${lock%:*} --python-version $${lock#*:} --output-file locks/$${lock%:*}.txt \
 	  --constraint constraints.txt --generate-hashes --no-emit-index-url --no-emit-find-links --no-annotate \
-	  --custom-compile-command 'make locks' --output-file locks/$$extra.txt pyproject.toml || exit; done
+	  --custom-compile-command 'make locks' pyproject.toml || exit; done
 
 test-python: $(VENV)/.ready ## test the numerics without compilation, as plain Python
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -q $(addprefix tests/model/, $(addsuffix .py, \

@@ -22,12 +22,12 @@ def pinned(path: Path) -> dict[str, str]:
     return {canonicalize_name(name): version for name, version in found}
 
 
-@pytest.mark.parametrize("extra", ["dev", "tools"])
+@pytest.mark.parametrize("extra", ["dev", "docs", "tools"])
 def test_a_lock_holds_all_requirements_with_their_hashes(extra):
     path = ROOT / "locks" / f"{extra}.txt"
     pins, text = pinned(path), path.read_text(encoding="utf-8")
     extras = PROJECT["optional-dependencies"]
-    wanted = [*PROJECT["dependencies"], *extras["dev"], *(extras["tools"] if extra == "tools" else [])]
+    wanted = [*PROJECT["dependencies"], *extras[extra], *(extras["dev"] if extra == "tools" else [])]
     for requirement in (Requirement(line) for line in wanted if not line.startswith("fracbench")):
         version = pins.get(canonicalize_name(requirement.name))
         assert version and requirement.specifier.contains(version), f"{requirement}: run `make locks`"
@@ -36,7 +36,7 @@ def test_a_lock_holds_all_requirements_with_their_hashes(extra):
     assert "://" not in text  # no host of a registry
 
 
-@pytest.mark.parametrize("extra", ["dev", "tools"])
+@pytest.mark.parametrize("extra", ["dev", "docs", "tools"])
 def test_the_locks_are_made_from_the_constraints(extra):
     known = pinned(ROOT / "constraints.txt")
     for name, version in pinned(ROOT / "locks" / f"{extra}.txt").items():
