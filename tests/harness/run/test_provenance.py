@@ -6,6 +6,7 @@ import platform
 import shutil
 import subprocess
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -122,3 +123,10 @@ def test_why_a_point_is_run_again_is_said(cli, work, tiny, monkeypatch):
         monkeypatch.setattr(module, "SOLVER_VERSION", 99)
     again = cli("sweep", *tiny, "alpha=0.5,1", "method=tvl1_sb_alpha")
     assert f"2 points computed (2 solver version {SOLVER_VERSION} -> 99)" in again.err
+
+
+@pytest.mark.skipif(not Path("/proc/cpuinfo").is_file(), reason="this system has no /proc")
+def test_the_processor_is_called_as_the_system_calls_it():
+    named = [line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith("model name")]
+    wanted = named[0].split(":", 1)[1].strip() if named else platform.processor() or platform.machine()
+    assert provenance.machine()["cpu"] == wanted

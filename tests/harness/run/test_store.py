@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from fracbench.errors import FracbenchError, InputError
+from fracbench.harness.run import sqlite
 from fracbench.harness.run.sqlite import APPLICATION_ID, SCHEMA_VERSION, STATUSES, transaction
 from fracbench.harness.run.store import Row, Store, StoreError, canonical_json
 
@@ -402,3 +403,20 @@ def test_kill_9_loses_nothing_that_was_committed(path: Path) -> None:
         assert [row.spec for row in kept] == [{"n": str(n)} for n in range(len(kept))]
         assert store.put(a_row("next"))
         assert store._db.execute("PRAGMA integrity_check").fetchone() == ("ok",)
+
+
+@pytest.mark.parametrize(
+    ("writable", "mode"),
+    [
+        (("file", "folder"), "mode=rw"),
+        (("file",), "mode=ro&immutable=1"),
+        (("folder",), "mode=ro"),
+        ((), "mode=ro&immutable=1"),
+    ],
+)
+def test_a_store_is_read_as_its_rights_allow(tmp_path, monkeypatch, writable, mode):
+    """Where the folder cannot be written, SQLite cannot make the files that WAL needs beside the store."""
+    path = tmp_path / "store.sqlite"
+    rights = {path: "file" in writable, tmp_path: "folder" in writable}
+    monkeypatch.setattr(sqlite.os, "access", lambda place, _: rights[place])
+    assert sqlite._reading_mode(path) == mode
