@@ -19,8 +19,8 @@ fracbench itself is under the BSD-3-Clause licence. These are the packages that 
 developers need, with the licences that their metadata state: `python tools/licenses.py > docs/licenses.md`, in the
 environment of `make setup`. Packages of other systems and other Pythons than its own are left out.
 
-The optional extras bring packages with licences of their own. OpenPIV, of the extra `piv`, is under the GPL 3; fracbench calls
-it, where it is installed, as a peer to compare with, and holds none of its code.
+The optional extras bring packages with licences of their own. OpenPIV, of the extra `piv`, is under the GPL 3;
+fracbench calls it, where it is installed, as a peer to compare with, and holds none of its code.
 """
 
 
