@@ -113,7 +113,7 @@ def test_the_preset_is_among_its_candidates_and_the_study_leaves_its_files(tmp_p
     experiment = load_experiment("fluid_protocol")
     rendered = {part: grid for part, grid in experiment.grids.items() if part.startswith("particles")}
     plan = plan_experiment(rendered, allow_download=False)
-    images = ("dataset=", "noise=", "lost=", "displacement=", "margin=", "protocol=")
+    images = ("dataset=", "noise=", "lost=", "displacement=", "margin=", "protocol=", "normalisation=")
     own = [token for token in rendered["particles/single"] if token.startswith(images)]
     preset = plan_experiment({"own": own}, allow_download=False)
     assert preset.unique().keys() < plan.unique().keys()
