@@ -81,8 +81,9 @@ def estimate_flow(
     ----------
     frame0, frame1 : array_like, shape (H, W) or (H, W, 1 | 3 | 4)
         Frames, gray or colour, of any integer or floating type; never changed. Colour becomes gray by
-        ``0.299 R + 0.587 G + 0.114 B`` (rounded down for integers); alpha channels are ignored. Pixels that
-        are NaN do not count, as if they were in the mask; a notice says how many there are.
+        ``0.299 R + 0.587 G + 0.114 B`` (rounded down for integers), and counts as such only for
+        ``weighted_guide="color"``; alpha channels are ignored. Pixels that are NaN do not count, as if they were
+        in the mask; a notice says how many there are.
     protocol : str, optional
         The preset: ``fast`` (half-size frames), ``recommended``, ``accurate`` (smaller errors, slower), ``fluid``
         (smooth motion, particle images), or another file of ``conf/protocol``, of the package or of the working
@@ -146,6 +147,8 @@ def estimate_flow(
     gray0, gray1 = to_gray(frame0, name="frame0", nan=True), to_gray(frame1, name="frame1", nan=True)
     check_frames(gray0, gray1)
     options, notices = dict[str, Any](), list[str]()
+    if "color" in chosen.options:
+        options.update(_color(frame0))
     if mask is not None:
         options["mask"] = _array(mask, "mask", "b", "bool, true where a pixel does not count")
     if initial_flow is not None:
@@ -162,7 +165,10 @@ def estimate_flow(
         result = chosen.compute(gray0, gray1, settings, trace=trace, **options)
         if confidence:
             started = time.perf_counter()
-            options.pop("initial_flow", None)
+            for name in ("initial_flow", "color"):
+                options.pop(name, None)
+            if "color" in chosen.options:
+                options.update(_color(frame1))
             if options.get("mask", gray0).ndim == 3:
                 options["mask"] = options["mask"][::-1]
             back = chosen.compute(gray1, gray0, settings, **options)
@@ -191,6 +197,13 @@ def preset_of(protocol: str, method: Method) -> dict[str, Any] | None:
 def _named(protocol: str) -> tuple[str, dict[str, Any]]:
     """Return the method and the parameters of a preset; the default sets nothing, and Hydra need not be loaded."""
     return (DEFAULT_METHOD, {}) if protocol == DEFAULT_PROTOCOL else protocol_settings(protocol)
+
+
+def _color(frame: npt.ArrayLike) -> dict[str, Any]:
+    """Return a frame in colour as an option of a method, read-only; nothing if it is gray."""
+    planes = np.asarray(frame)[..., :3]
+    planes.flags.writeable = False
+    return {"color": planes} if planes.ndim == 3 and planes.shape[2] == 3 else {}
 
 
 def _nan_notice(name: str, gap: npt.NDArray[np.bool_]) -> str:

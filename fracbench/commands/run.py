@@ -215,15 +215,16 @@ def run_point(tokens: Sequence[str]) -> None:
     for notice in plan.notices:
         console.note(f"note: {notice}")
     from fracbench.data.files import ensure_folder
-    from fracbench.harness.run.compute_point import point_arrays
+    from fracbench.harness.run.compute_point import point_arrays, point_options
     from fracbench.methods.registry import get_method
 
     planned = plan.points[0]
     point = planned.point
     folder = ensure_folder(plan.config.results / RUNS / "flows")
     frame0, frame1, truth, inner = point_arrays(point, plan.folder)
+    options = point_options(point, plan.folder)
     compile_for([(point.method, point.params)])
-    result = get_method(point.method).compute(frame0, frame1, point.params)
+    result = get_method(point.method).compute(frame0, frame1, point.params, **options)
     flow = result.flow[(slice(None), *inner)]
     place = planned.labels["sequence" if point.region is None else "region"]
     name = f"{place}_{point.method}_{point.key[:8]}"

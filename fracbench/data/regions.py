@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from fracbench.data.pair import FramePair
 from fracbench.errors import InputError
 
+Box = tuple[slice, slice]
 Crop = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float32] | None, tuple[slice, slice]]
 
 
@@ -70,19 +71,21 @@ def crop(sequence: FramePair, region: Region, context: int = 0) -> Crop:
     """
     if region.sequence.casefold() != sequence.name.casefold():
         raise InputError(f"region {region.name!r} belongs to {region.sequence!r}, not to {sequence.name!r}")
-    if context < 0:
-        raise InputError(f"`context` must not be negative, got {context}")
-    require_inside(region, sequence.shape)
-    grown, inner = zip(
-        *(
-            _grow(bounds, context, size)
-            for bounds, size in zip((region.rows, region.cols), sequence.shape, strict=True)
-        ),
-        strict=True,
-    )
+    grown, inner = boxes(region, sequence.shape, context)
     frame0, frame1 = (np.ascontiguousarray(frame[grown]) for frame in (sequence.frame0, sequence.frame1))
     truth = None if sequence.truth is None else np.ascontiguousarray(sequence.truth[:, *grown])
     return frame0, frame1, truth, inner
+
+
+def boxes(region: Region, shape: tuple[int, int], context: int = 0) -> tuple[Box, Box]:
+    """Return a region grown by its context, as an index of a picture of `shape`, and the region within that."""
+    if context < 0:
+        raise InputError(f"`context` must not be negative, got {context}")
+    require_inside(region, shape)
+    rows, cols = (
+        _grow(bounds, context, size) for bounds, size in zip((region.rows, region.cols), shape, strict=True)
+    )
+    return (rows[0], cols[0]), (rows[1], cols[1])
 
 
 def shifted(region: Region, shape: tuple[int, int], step: int = 8, n: int = 5) -> list[Region]:

@@ -12,7 +12,7 @@ from fracbench.methods.paper import split_bregman, v_step
 from fracbench.model import pyramid
 from fracbench.model.coarse_to_fine import FlowResult, RunOptions, coarse_to_fine
 from fracbench.model.data_terms.choose import residual_factory
-from fracbench.model.flow_filters import flow_filter
+from fracbench.model.flow_filters import filter_factory
 from fracbench.model.kernels.arrays import Array
 from fracbench.model.operators.alpha_map import MappedGradient
 from fracbench.model.params import FlowParams
@@ -22,7 +22,7 @@ from fracbench.model.v_steps import VStep, channel_step
 
 
 def tvl1_sb_alpha_map(
-    frame0: Array, frame1: Array, params: FlowParams, **options: Unpack[RunOptions]
+    frame0: Array, frame1: Array, params: FlowParams, *, color: Array | None = None, **options: Unpack[RunOptions]
 ) -> FlowResult:
     """Compute flow with one order for each class of structure, and the extensions that `params` ask for.
 
@@ -37,7 +37,7 @@ def tvl1_sb_alpha_map(
         _by_class,
         any_v_step,
         prepare_data=residual_factory,
-        make_flow_filter=flow_filter,
+        make_flow_filter=filter_factory(params, color, frame0.shape, options.get("mask")),
         method="tvl1_sb_alpha_map",
         **options,
     )

@@ -11,7 +11,7 @@ from fracbench.methods.alpha_map import any_v_step
 from fracbench.model import pyramid
 from fracbench.model.coarse_to_fine import FlowResult, RunOptions, coarse_to_fine
 from fracbench.model.data_terms.choose import residual_factory
-from fracbench.model.flow_filters import flow_filter
+from fracbench.model.flow_filters import filter_factory
 from fracbench.model.kernels.arrays import Array
 from fracbench.model.operators.infimal import InfimalGradient
 from fracbench.model.params import FlowParams
@@ -19,7 +19,7 @@ from fracbench.model.regularizers import InfimalBregman, Regularizer, edge_weigh
 
 
 def tvl1_sb_alpha_ic(
-    frame0: Array, frame1: Array, params: FlowParams, **options: Unpack[RunOptions]
+    frame0: Array, frame1: Array, params: FlowParams, *, color: Array | None = None, **options: Unpack[RunOptions]
 ) -> FlowResult:
     """Compute flow as a sum of two parts, p of order `alpha` and q of order `alpha_smooth`.
 
@@ -48,7 +48,7 @@ def tvl1_sb_alpha_ic(
         next_scale,
         any_v_step,
         prepare_data=residual_factory,
-        make_flow_filter=flow_filter,
+        make_flow_filter=filter_factory(params, color, frame0.shape, options.get("mask")),
         method="tvl1_sb_alpha_ic",
         **options,
     )

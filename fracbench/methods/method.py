@@ -26,10 +26,10 @@ RESERVED = frozenset({
     "noise", "seed", "density", "diameter", "lost", "background", "displacement", "slope", "paths", "params",
     "part", "aae", "aepe", "sdae", "n_pixels", "n_unknown", "n_nonfinite",
     "iterations", "inner_iterations", "stop", "status", "error", "key", "frame0", "frame1", "trace", "threads",
-    "mask", "initial_flow", "confidence",
+    "mask", "initial_flow", "color", "confidence",
 })  # fmt: skip
-#: Arguments of `estimate_flow` that a method may take.
-OPTIONS = frozenset({"mask", "initial_flow"})
+#: Further arguments that a method may take.
+OPTIONS = frozenset({"mask", "initial_flow", "color"})
 _ALL: Any = None
 #: Modules that belong to another extra of this project than `peers`.
 _EXTRAS = {"openpiv": "piv"}
@@ -69,7 +69,8 @@ class Method:
         Modules of other programs.
     options : frozenset of str
         Further arguments that `estimate` takes by name where they are given: ``mask``, an array of bool, (H, W) or
-        (2, H, W), true where a pixel does not count, and ``initial_flow``, (2, H, W) in pixels.
+        (2, H, W), true where a pixel does not count, ``initial_flow``, (2, H, W) in pixels, and ``color``, frame 0
+        in colour, (H, W, 3), wherever the data have it.
     frame_dtype : str or None
         Type of the frames that `estimate` gets, which are copies; None: the frames as they are loaded.
     package, release : str

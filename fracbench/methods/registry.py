@@ -20,8 +20,10 @@ from fracbench.model.params import SWITCHES, FlowParams
 # Parameters of extensions: the paper's methods do not use them, nor do the keys of their results.
 _BEYOND = frozenset({
     "alpha_flat", "alpha_edge", "alpha_corner", "alpha_texture", "lambda_gradient", "derivatives", "edge_decay",
-    "edge_power", "median_radius", "weighted_radius", "texture", "occlusion", "lambda_growth"
+    "edge_power", "median_radius", "weighted_radius", "texture", "occlusion", "lambda_growth", "weighted_guide"
 })  # fmt: skip
+# Those of them that came after results of both methods were stored.
+_GUIDED = {"weighted_guide": "gray"}
 # Those of the flow in two parts.
 _INFIMAL = frozenset({"alpha_smooth", "smooth_weight", "smooth_penalty"})
 # Other readings of the paper's split Bregman iteration, data term and 5-point stencil, which not all methods have.
@@ -91,6 +93,7 @@ def _ours(
     defaults: Mapping[str, Any] | None = None,
     younger: Mapping[str, Any] | None = None,
     limits: Mapping[str, tuple[float, str]] | None = None,
+    color: bool = False,
 ) -> Method:
     """Return a method of this package, whose module is imported with its first call."""
     estimate = partial(_imported, f"fracbench.methods.{module}", name)
@@ -103,7 +106,7 @@ def _ours(
         defaults=defaults or {},
         younger={"finest_scale": 0, "normalisation": 0.0, **_off(uses), **(younger or {})},
         limits=limits or {},
-        options=OPTIONS,
+        options=OPTIONS if color else OPTIONS - {"color"},
         frame_dtype=None,
     )
 
@@ -157,7 +160,8 @@ register(
         _BREGMAN | _BREGMANS | _BEYOND,
         # orders without weight at a pixel slow the convergence of its flow, so that more iterations are needed
         defaults={"n_warps": 5, "max_iter": 10},
-        younger={"texture": 0.0, "occlusion": "median", "lambda_growth": 0.0},
+        younger={"texture": 0.0, "occlusion": "median", "lambda_growth": 0.0, **_GUIDED},
+        color=True,
     )
 )
 register(
@@ -170,7 +174,8 @@ register(
         (_BREGMAN | _BEYOND | _INFIMAL | {"alpha", "boundary"})
         - {"alpha_flat", "alpha_edge", "alpha_corner", "alpha_texture", "tol", "max_inner"},
         defaults={"alpha": 1.0, "n_warps": 5, "max_iter": 10},
-        younger={"smooth_penalty": 1.0, "lambda_growth": 0.0},
+        younger={"smooth_penalty": 1.0, "lambda_growth": 0.0, **_GUIDED},
+        color=True,
     )
 )
 for _peer in PEERS:

@@ -62,7 +62,8 @@ def warm_up(
             # the thresholds of these two vary from pixel to pixel, and are of another type
             if helps and method.name not in ("tvl1_sb_alpha_map", "tvl1_sb_alpha_ic"):
                 _call_steps(np.dtype(params.dtype))
-            method.compute(frame0, frame1, small)
+            color: dict[str, Any] = {"color": np.stack([frame0] * 3, axis=-1)} if "color" in method.options else {}
+        method.compute(frame0, frame1, small, **color)
     finally:
         for helper in helpers:  # anything that it has not finished has been compiled here
             helper.kill()

@@ -143,6 +143,8 @@ class FlowParams:
     lambda_growth: float = _param(
         0.0, "g in lambda r^g, the weight of the data on a scale whose sides are 1/r of the frames'; 0: lambda",
         low=0.0, high=4.0)
+    weighted_guide: Literal["gray", "color"] = _param(
+        "gray", "guide of the weighted median: the gray levels of frame 0, or its colour in CIE Lab")
 
     # Other readings of Algorithms 1 to 4 (docs/switches.md): each is off at its default.
     intensity: Literal["joint", "each", "unit", "given"] = _switch(

@@ -56,6 +56,7 @@ VARIATIONS = {
     "edge_decay": ({}, 0.0, 0.3),
     "edge_power": ({"edge_decay": 0.3}, 0.5, 1.0),
     "median_radius": ({}, 0, 1),
+    "weighted_guide": ({"gradient_scale": 0.1, "weighted_radius": 2}, "gray", "color"),
     "weighted_radius": ({"gradient_scale": 0.1}, 0, 2),  # a flow too long has edges
     "texture": ({}, 0.0, 0.5),
     "normalisation": ({}, 0.0, 8.0),
@@ -102,7 +103,8 @@ def frames():
 def flow(method, frames, **values):
     chosen = get_method(method)
     params = FlowParams().replace(chosen.defaults).replace(SMALL).replace(values)
-    return chosen.estimate(*frames, params).flow
+    color = np.random.default_rng(1).uniform(0.0, 255.0, (*frames[0].shape, 3))
+    return chosen.estimate(*frames, params, **({"color": color} if "color" in chosen.options else {})).flow
 
 
 def test_the_papers_methods_are_registered():

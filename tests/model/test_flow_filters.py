@@ -9,10 +9,10 @@ import pytest
 
 from fracbench.model.data_terms.occlusion import DIVERGENCE, RESIDUAL, visibility
 from fracbench.model.flow_filters import (
-    MAX_GRAY_DIFFERENCE,
+    CUT,
     REACH,
     SIGMA_DISTANCE,
-    SIGMA_GRAY,
+    SIGMA_GUIDE,
     median,
     motion_edges,
     weighted_median,
@@ -25,8 +25,8 @@ def rng():
 
 
 def weighted(flow, guide, trust, mask, radius):
-    out = flow.copy()
-    weighted_median(flow, guide, trust, mask, radius, out, 0, len(guide))
+    out, guide = flow.copy(), np.atleast_3d(guide.T).T
+    weighted_median(flow, guide, trust, mask, radius, out, 0, len(mask))
     return out
 
 
@@ -37,12 +37,12 @@ def neighbours(i, j, radius, shape):
 
 def literal(flow, guide, trust, i, j, radius):
     """Sort the neighbours of each pixel and add up their weights to one half, for each component."""
-    around = neighbours(i, j, radius, guide.shape)
+    around, guide = neighbours(i, j, radius, trust.shape), np.atleast_3d(guide.T).T
     weights = [
         trust[p, q]
         * math.exp(-((p - i) ** 2 + (q - j) ** 2) / (2 * SIGMA_DISTANCE**2))
-        * math.exp(-((guide[p, q] - guide[i, j]) ** 2) / (2 * SIGMA_GRAY**2))
-        * (abs(guide[p, q] - guide[i, j]) <= MAX_GRAY_DIFFERENCE)
+        * math.exp(-(math.dist(guide[:, p, q], guide[:, i, j]) ** 2) / (2 * SIGMA_GUIDE**2))
+        * (math.dist(guide[:, p, q], guide[:, i, j]) <= CUT * SIGMA_GUIDE)
         for p, q in around
     ]
     result = []
@@ -80,12 +80,21 @@ def test_the_weighted_median_is_that_of_the_sorted_neighbours(rng, radius, level
     got = weighted(flow, guide, trust, np.ones(shape, bool), radius)
     for i, j in np.ndindex(shape):
         if any(
-            trust[p, q] > 0 and abs(guide[p, q] - guide[i, j]) <= MAX_GRAY_DIFFERENCE
+            trust[p, q] > 0 and abs(guide[p, q] - guide[i, j]) <= CUT * SIGMA_GUIDE
             for p, q in neighbours(i, j, radius, shape)
         ):
             assert got[:, i, j].tolist() == literal(flow, guide, trust, i, j, radius), (i, j)
         else:
             assert got[:, i, j].tolist() == flow[:, i, j].tolist()
+
+
+def test_with_colours_the_weights_fall_with_the_distance_in_all_channels(rng):
+    shape = (8, 9)
+    flow, guide = rng.normal(size=(2, *shape)), rng.uniform(0.0, 15.0, (3, *shape))
+    trust = rng.uniform(0.1, 1.0, shape)
+    got = weighted(flow, guide, trust, np.ones(shape, bool), 3)
+    for i, j in np.ndindex(shape):
+        assert got[:, i, j].tolist() == literal(flow, guide, trust, i, j, 3), (i, j)
 
 
 def test_equal_weights_give_the_plain_median(rng):
@@ -103,7 +112,7 @@ def test_only_the_masked_pixels_of_the_rows_are_replaced(rng):
     assert (whole[:, mask] != flow[:, mask]).any()
     halves = flow.copy()
     for start, stop in ((5, 8), (0, 5)):
-        weighted_median(flow, np.zeros(shape), np.ones(shape), mask, 2, halves, start, stop)
+        weighted_median(flow, np.zeros((1, *shape)), np.ones(shape), mask, 2, halves, start, stop)
     np.testing.assert_array_equal(halves, whole)
 
 

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from fracbench.data.datasets.registry import get_dataset, load_sequence
 from fracbench.data.pair import FramePair
-from fracbench.data.regions import Crop, crop
+from fracbench.data.regions import Crop, boxes, crop
 from fracbench.entry_points import described
 from fracbench.errors import FracbenchError, InputError
 from fracbench.evaluation.class_errors import errors_by_class, errors_by_mask
@@ -62,12 +62,12 @@ def _compute(point: Point, folder: Path | None, machine: dict[str, Any], guard: 
         raise InputError(f"{method.origin}: {versions}; install the same version")
     if method.package:
         machine = {**machine, "versions": {**machine["versions"], method.package: method.release}}
-    params = method.restored(point.params)
+    params, options = method.restored(point.params), point_options(point, folder)
     _warm_up(method, params)
     reset_peak()
     started = time.perf_counter()
     with guard():
-        flow_result = method.compute(frame0, frame1, params)
+        flow_result = method.compute(frame0, frame1, params, **options)
     seconds = time.perf_counter() - started
     flow = flow_result.flow[(slice(None), *inner)]
     result: dict[str, Any] = {
@@ -176,6 +176,19 @@ def point_arrays(point: Point, folder: Path | None) -> tuple[Any, Any, Any, tupl
         _crops.clear()  # the points of a sweep come region by region
         _crops[key] = cut
     return _crops[key]
+
+
+def point_options(point: Point, folder: Path | None) -> dict[str, Any]:
+    """Return all that the point's method takes besides gray frames: their colour, where the data have it."""
+    if "color" not in get_method(point.method).options:
+        return {}
+    sequence = _sequence_of(point, folder)
+    color = sequence.frame0_color
+    if color is None:
+        return {}
+    return {
+        "color": color if point.region is None else color[boxes(point.region, sequence.shape, point.context)[0]]
+    }
 
 
 def _sequence_of(point: Point, folder: Path | None) -> FramePair:

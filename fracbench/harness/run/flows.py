@@ -7,7 +7,7 @@ from pathlib import Path
 from threadpoolctl import threadpool_limits
 
 from fracbench.data.files import write_flow
-from fracbench.harness.run.compute_point import point_arrays
+from fracbench.harness.run.compute_point import point_arrays, point_options
 from fracbench.harness.run.point import Point
 from fracbench.methods.registry import get_method
 
@@ -23,5 +23,5 @@ def keep_flow(point: Point, data: Path | None, path: Path) -> None:
         return
     frame0, frame1, _, inner = point_arrays(point, data)
     with threadpool_limits(1):  # as for every stored number
-        result = get_method(point.method).compute(frame0, frame1, point.params)
+        result = get_method(point.method).compute(frame0, frame1, point.params, **point_options(point, data))
     write_flow(path, result.flow[(slice(None), *inner)])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from fracbench.harness.config.experiment import Experiment
-from fracbench.harness.run.compute_point import point_arrays
+from fracbench.harness.run.compute_point import point_arrays, point_options
 from fracbench.harness.run.plan import Plan
 from fracbench.harness.run.point import Point
 from fracbench.harness.run.store import Row
@@ -83,8 +83,8 @@ def _parts(point: Point, data: Path | None) -> NDArray[np.float32]:
     """Compute both parts of the flow of a point, (2, 2, H, W)."""
     frame0, frame1, *_ = point_arrays(point, data)
     with threadpool_limits(1):
-        parts = get_method(point.method).estimate(frame0, frame1, point.params).parts
-    return np.asarray(parts)
+        result = get_method(point.method).compute(frame0, frame1, point.params, **point_options(point, data))
+    return np.asarray(result.parts)
 
 
 def _readable(scenes: pd.DataFrame) -> pd.DataFrame:

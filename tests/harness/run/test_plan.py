@@ -187,7 +187,7 @@ OTHER = {
     "relaxation": "1.1", "alpha_flat": "0.9", "alpha_edge": "0.9", "alpha_corner": "0.9", "alpha_texture": "0.9",
     "lambda_gradient": "1", "derivatives": "both", "edge_decay": "0.1", "edge_power": "1", "median_radius": "1",
     "weighted_radius": "2", "finest_scale": "1", "texture": "0.95", "occlusion": "none", "alpha_smooth": "1.6",
-    "smooth_weight": "3", "smooth_penalty": "10", "normalisation": "8", "lambda_growth": "1",
+    "smooth_weight": "3", "smooth_penalty": "10", "normalisation": "8", "lambda_growth": "1", "weighted_guide": "color",
     "intensity": "unit", "lambda_factor": "2", "theta_factor": "2", "swap_weights": "true",
     "smoothing_at": "scales", "downsampling": "area", "upsampling": "nearest", "gradient_of": "mean",
     "stencil": "forward", "warp": "bilinear", "outside": "repeat", "threshold": "no_theta",
