@@ -142,7 +142,7 @@ def test_an_installed_package_works_from_another_folder(installed, images):
     said = fracbench_("estimate", "a.png", "b.png", "-o", "out.flo", "--truth", "t.flo", *quick)
     assert "AEPE" in said and (images / "out.flo").is_file() and (images / "out.color.png").is_file()
     said = fracbench_("estimate", "a.png", "b.png", "-o", "out.flo", "protocol=accurate", *quick)
-    assert said.startswith("tvl1_sb_alpha_map (preset accurate with n_scales=1")
+    assert said.startswith("tvl1_sb_alpha_ic (preset accurate with n_scales=1")
     said = fracbench_("sweep", "alpha=0.5,1", "sequence=synthetic_flat", *quick, "--jobs", "1")
     assert "wrote results/sweeps/" in said
     said = fracbench_("table", "2", "dataset=synthetic", "--small", "--jobs", "1")

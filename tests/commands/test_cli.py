@@ -488,7 +488,7 @@ def test_the_default_method_is_that_of_the_python_interface(cli, images):
 
 def test_a_protocol_gives_its_method_and_its_own_parameters(cli, images):
     done = cli("estimate", "a.png", "b.png", "-o", "f.flo", "protocol=accurate", "median_radius=1")
-    assert done.out.startswith("tvl1_sb_alpha_map (preset accurate with median_radius=1): ")
+    assert done.out.startswith("tvl1_sb_alpha_ic (preset accurate with median_radius=1): ")
     preset = yaml.safe_load(asset("conf/protocol/accurate.yaml").read_text())
     values = {**preset["params"], "median_radius": 1}
     params = {"lambda_" if name == "lambda" else name: value for name, value in values.items()}

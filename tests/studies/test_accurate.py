@@ -134,20 +134,23 @@ def test_the_experiment_adds_and_takes_away_each_ingredient():
         {p.removeprefix(start) for p in grids if p.startswith(start)}
         for start in ("plain/", "accurate/", "accurate+")
     )
-    assert taken | more == alone | {"occlusion-aware median"} and not taken & more and len(alone) == 9
+    of_the_median = {"occlusion-aware median", "colour weights"}
+    assert taken | more == alone | of_the_median and not taken & more and len(alone) == 10
     experiment = load_experiment("accurate")
     plan = plan_experiment(experiment.grids, ["dataset=synthetic"], allow_download=False)
     params: dict = {}
     for planned in plan.points:
-        params.setdefault(planned.labels["part"], dict(planned.point.canonical))
+        params.setdefault(planned.labels["part"], {"method": planned.point.method, **planned.point.canonical})
 
     def changed(part, whole):
-        return {name for name, value in params[part].items() if value != params[whole][name]}
+        one, other = params[part], params[whole]
+        return {name for name in one.keys() | other.keys() if one.get(name) != other.get(name)}
 
     assert changed("accurate/occlusion-aware median", "accurate") == {"occlusion"}
     for name in taken & alone:
         assert changed(f"plain/{name}", "plain") == changed(f"accurate/{name}", "accurate") != set()
-    for name in more:
+    assert changed("accurate+colour weights", "accurate") == {"weighted_guide"}
+    for name in more - of_the_median:
         assert changed(f"plain/{name}", "plain") == changed(f"accurate+{name}", "accurate") != set()
     ingredients = set.union(*(changed(f"plain/{name}", "plain") for name in taken & alone))
     assert changed("accurate", "plain") == ingredients

@@ -52,7 +52,7 @@ def _ours() -> list[Contender]:
     beyond = [
         Contender("tvl1_sb_alpha_map 2 orders", "tvl1_sb_alpha_map", {**two_orders, **fast}),
         Contender("tvl1_sb_alpha_ic", "tvl1_sb_alpha_ic", {"alpha": "1", **fast}),
-        Contender("accurate", "tvl1_sb_alpha_map", protocol="accurate"),
+        Contender("accurate", "tvl1_sb_alpha_ic", protocol="accurate"),
         Contender("fast", "tvl1_sb", protocol="fast"),
         Contender("fluid", "tvl1_sb_alpha_map", protocol="fluid"),
     ]
