@@ -98,7 +98,7 @@ def _narrow(values: Array, weights: Array, count: int, wanted: float, low: Any, 
     `low` and `high` are the least and the largest of the values. Both arrays are overwritten.
     """
     above: Any = -math.inf
-    passed = 0.0
+    passed: Any = 0.0
     for _ in range(HALVINGS):
         pivot = values.dtype.type(0.5) * (low + high)
         below = 0.0
