@@ -33,7 +33,7 @@ _LABELS: Mapping[str, tuple[str, bool]] = {
     "noise": ("noise [gray levels]", False),
     "lost": ("share of lost pairs", False),
     "displacement": ("largest displacement [px]", True),
-    "gradient": ("local gradient of the displacement [px / px]", False),
+    "gradient": ("local gradient [px / px]", False),
 }
 
 
@@ -116,9 +116,11 @@ def setting_panels(settings: pd.DataFrame, gradients: pd.DataFrame, title: str) 
                     )
             if logarithmic:
                 ax.set_xscale("log")
-                plain_ticks(ax.xaxis, (1.0, 2.0, 5.0))
+                plain_ticks(ax.xaxis, (2.0,) if name == "density" else (1.0, 2.0, 5.0))
             ax.set_xlabel(label)
             _log_errors(ax, table["aepe"])
+            if (table["aepe"] > 0).any():  # the lines set the scale: an interval of few seeds may reach down to 0
+                ax.set_ylim(0.6 * table["aepe"].min(), 1.6 * table["aepe"].max())
         for ax in grid.flat[len(tables) :]:
             ax.set_axis_off()
         for row in grid:
