@@ -101,7 +101,7 @@ def _narrow(values: Array, weights: Array, count: int, wanted: float, low: Any, 
     passed: Any = 0.0
     for _ in range(HALVINGS):
         pivot = values.dtype.type(0.5) * (low + high)
-        below = 0.0
+        below: Any = 0.0
         for k in range(count):
             below += weights[k] if values[k] <= pivot else values.dtype.type(0.0)
         if below >= wanted:
