@@ -203,7 +203,7 @@ def test_unknown_protocols_offer_the_nearest(gray):
 
 def test_unknown_parameters_offer_the_nearest(gray):
     refused("unknown parameter 'lamda': did you mean 'lambda'?", *gray, lamda=0.3)
-    refused("unknown parameter 'warps': did you mean 'n_warps'?", *gray, warps=3)
+    refused("unknown parameter 'nwarps': did you mean 'n_warps'?", *gray, nwarps=3)
 
 
 @pytest.mark.parametrize(

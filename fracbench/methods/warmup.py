@@ -63,7 +63,7 @@ def warm_up(
             if helps and method.name not in ("tvl1_sb_alpha_map", "tvl1_sb_alpha_ic"):
                 _call_steps(np.dtype(params.dtype))
             color: dict[str, Any] = {"color": np.stack([frame0] * 3, axis=-1)} if "color" in method.options else {}
-        method.compute(frame0, frame1, small, **color)
+            method.compute(frame0, frame1, small, **color)
     finally:
         for helper in helpers:  # anything that it has not finished has been compiled here
             helper.kill()

@@ -147,7 +147,7 @@ EXPERIMENTS = [
     ("grids: {}\nartefact: family\noptions: {styles: ['-Q']}", "styles: unknown marker 'Q' in '-Q'"),
     ("grids: {}\nartefact: family\noptions: {styles: ['']}", "styles: '' names neither a line nor a marker"),
     ("grids: {}\nartefact: family\noptions: {styles: []}", "option 'styles' must name a line or a marker"),
-    ("grid: [sequence=synthetic_flat, dataset=auto]", "the key 'dataset' is given twice"),
+    ("grid: [dataset=synthetic, dataset=auto]", "the key 'dataset' is given twice"),
     ("grid: [sequence=synthetic_flat, paths.results=/elsewhere]", "is said on the command line"),
     ("grid: [sequence=synthetic_flat, parallel.jobs=99]", "is said on the command line"),
     ("grid: [sequence=synthetic_flat]\ntitle: 2001-99-99", "cannot be read as YAML: month must be in 1..12"),

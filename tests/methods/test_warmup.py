@@ -73,7 +73,7 @@ def test_a_second_process_helps_once_and_is_ended(monkeypatch):
             ended.append("waited for")
 
     class Once:
-        name = "tvl1_sb"
+        name, options = "tvl1_sb", frozenset()
 
         def compute(self, frame0, frame1, params):
             for function in (lambda x: x + 1, lambda x: x + 2):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -25,8 +26,9 @@ from fracbench.report.sources import COMMITTED, SUFFIXES, Source, Sources, homes
 
 
 def document(path: str, summary: str) -> Details:
-    """Return a document of the project, folded."""
-    return Details(summary, [Text(demoted(asset(path).read_text(encoding="utf-8"), 2))])
+    """Return a document of the project, folded; its headings have no anchors here."""
+    text = re.sub(r"\[([^\]]+)\]\(#[^)]*\)", r"\1", asset(path).read_text(encoding="utf-8"))
+    return Details(summary, [Text(demoted(text, 2))])
 
 
 def answer_picture(sources: Sources) -> list[Block]:

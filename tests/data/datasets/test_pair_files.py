@@ -424,7 +424,7 @@ def test_numbers_as_names_of_pairs(folder):
 def test_parameters_are_the_protocols(folder):
     made = make_plan(["dataset=folder", f"paths.data={folder}", "protocol=accurate", "sequence=a"])
     point = made.points[0].point
-    assert (point.method, point.canonical["lambda"]) == ("tvl1_sb_alpha_map", "0.25")
+    assert (point.method, point.canonical["lambda"]) == ("tvl1_sb_alpha_ic", "0.25")
 
 
 def test_the_data_command_tells_a_folder(folder, cli, work):

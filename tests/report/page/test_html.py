@@ -187,7 +187,7 @@ def test_the_answer_comes_first(page):
     entries = [link["href"] for link in page.all("a") if link["href"].startswith("#")]
     assert entries == [
         "#main", "#verdicts", "#why", "#table2", "#figures", "#pictures", "#solvers",
-        "#beyond", "#errata", "#open", "#conventions", "#provenance",
+        "#beyond", "#fluids", "#errata", "#open", "#conventions", "#provenance",
     ]  # fmt: skip
 
 
