@@ -24,8 +24,8 @@ def flows(monkeypatch):
     for name, home in HOMES.items():
         estimate = getattr(home, name)
 
-        def recording(*arguments, _estimate=estimate):
-            result = _estimate(*arguments)
+        def recording(*arguments, _estimate=estimate, **options):
+            result = _estimate(*arguments, **options)
             found.append(result.flow.copy())
             return result
 

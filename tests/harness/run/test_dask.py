@@ -90,11 +90,19 @@ def replace_compute(monkeypatch, instead):
     monkeypatch.setattr(dask, "_compute", compute)
 
 
-def test_a_worker_killed_in_mid_sweep_costs_one_retry_and_changes_no_bit(running, store, monkeypatch):
+def test_a_worker_killed_in_mid_sweep_costs_one_retry_and_changes_no_bit(running, store, monkeypatch, tmp_path):
+    first = tmp_path / "first"
+
     def instead(job, compute):
+        import os
         import time
 
-        time.sleep(0.3)
+        try:
+            with first.open("x") as file:
+                file.write(str(os.getpid()))
+            time.sleep(0.3)
+        except FileExistsError:
+            time.sleep(1.0)
         return compute()
 
     replace_compute(monkeypatch, instead)
@@ -102,9 +110,11 @@ def test_a_worker_killed_in_mid_sweep_costs_one_retry_and_changes_no_bit(running
     killed = []
 
     def on_row(row):
-        if not killed:
-            killed.append(running.workers.pop())
-            os.kill(killed[0], signal.SIGKILL)
+        if not killed:  # the other worker is still at its first point
+            (other,) = (pid for pid in running.workers if pid != int(first.read_text()))
+            running.workers.remove(other)
+            killed.append(other)
+            os.kill(other, signal.SIGKILL)
 
     report = sweep.run(made, store, jobs=1, on_row=on_row)
     assert (report.computed, report.failed) == (9, [])
