@@ -176,7 +176,7 @@ def test_later_groups_win_and_the_command_line_wins_over_all(own_conf):
 def test_a_protocol_may_bring_its_method_and_one_asked_for_by_name_wins():
     assert load_config({"protocol": "accurate"}).method.name == "tvl1_sb_alpha_ic"
     asked = load_config({"protocol": "accurate", "method": "tvl1"})
-    assert (asked.method.name, asked.params.eta) == ("tvl1", 0.7)
+    assert (asked.method.name, asked.params.eta) == ("tvl1", 0.8)
 
 
 def test_the_accurate_protocol_is_the_same_for_every_sequence():
