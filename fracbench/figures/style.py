@@ -165,6 +165,18 @@ def plain_ticks(axis: Any, multiples: Sequence[float] = (1.0, 2.0, 3.0, 5.0)) ->
     axis.set_minor_formatter(NullFormatter())
 
 
+def label_outer(grid: Any, used: int, x: str, y: str) -> None:
+    """Label a grid of panels at its left and its bottom, and hide those behind the first `used`."""
+    for ax in grid.flat[used:]:
+        ax.set_axis_off()
+    for column in grid.T:
+        last = [ax for ax in column if ax.axison][-1]
+        last.set_xlabel(x)
+        last.tick_params(labelbottom=True)
+    for row in grid:
+        row[0].set_ylabel(y)
+
+
 def write_below(ax: Axes, x: float, y: float, text: str) -> None:
     """Write under a point, inside the panel: under a minimum there is no curve."""
     scale = ax.yaxis.get_transform()

@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from fracbench.figures.style import BEHIND, PALETTE, STAR, axis_label, house_style, new_figure, plain_ticks
+from fracbench.figures.style import (
+    BEHIND,
+    PALETTE,
+    STAR,
+    axis_label,
+    house_style,
+    label_outer,
+    new_figure,
+    plain_ticks,
+)
 from fracbench.studies.fluids.tables import ALPHA_1, MEAN, OPENPIV, OURS
 
 if TYPE_CHECKING:
@@ -53,14 +62,7 @@ def order_panels(orders: pd.DataFrame, flows: pd.DataFrame, title: str) -> Figur
             others = flows[(flows["dataset"] == dataset) & (flows["flow"] == flow)].set_index("method")["aepe"]
             _draw_orders(ax, part.sort_values("alpha"), others)
             ax.set_title(_short(str(flow)) if flow != MEAN else f"{MEAN}, {dataset}", fontsize=8.5)
-        for ax in grid.flat[len(panels) :]:
-            ax.set_axis_off()
-        for column in grid.T:
-            last = [ax for ax in column if ax.axison][-1]
-            last.set_xlabel(axis_label("alpha"))
-            last.tick_params(labelbottom=True)
-        for row in grid:
-            row[0].set_ylabel("AEPE [px]")
+        label_outer(grid, len(panels), axis_label("alpha"), "AEPE [px]")
         _legend(fig, grid.flat, 2)
     return fig
 

@@ -35,7 +35,7 @@ class Switch:
 
     @property
     def ordered(self) -> bool:
-        """Whether neighbours are alike: the values are numbers, in rising order."""
+        """True if the values are numbers in rising order, so that neighbours are alike."""
         numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in self.values)
         return numbers and list(self.values) == sorted(self.values)
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fracbench.data.datasets.synthetic.single_structure import SINGLE_STRUCTURE
-from fracbench.figures.style import PALETTE, SHADE, STAR, axis_label, house_style, new_figure
+from fracbench.figures.style import PALETTE, SHADE, STAR, axis_label, house_style, label_outer, new_figure
 from fracbench.model.structure import CLASSES, structure_classes
 
 if TYPE_CHECKING:
@@ -45,14 +45,7 @@ def structure_panels(curves: pd.DataFrame, paper: Mapping[str, tuple[float, floa
             lowest = min(lowest, _draw_panel(ax, curves[curves["structure"] == name], paper.get(name)))
             ax.set_title(name.removeprefix("lone_"))
         grid[0, 0].set_ylim(max(0.0, lowest - 0.05), _TOP)
-        for ax in grid.flat[len(names) :]:
-            ax.set_axis_off()
-        for column in grid.T:
-            last = [ax for ax in column if ax.axison][-1]
-            last.set_xlabel(axis_label("alpha"))
-            last.tick_params(labelbottom=True)
-        for row in grid:
-            row[0].set_ylabel("error / error at 1")
+        label_outer(grid, len(names), axis_label("alpha"), "error / error at 1")
         found = [zip(*ax.get_legend_handles_labels(), strict=True) for ax in grid.flat]
         handles = {label: handle for pairs in found for handle, label in pairs}
         fig.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=3)
