@@ -46,8 +46,8 @@ fluids: $(VENV)/.ready ## compare with cross-correlation and other flows on flui
 	  --editable '.[dev,peers,piv]'
 	$(FRACBENCH) experiment fluids
 
-publish: $(VENV)/.ready ## maintainers: renew results/committed and the answer in README.md from what is computed
-	$(BIN)/python -m tools.publish
+publish: $(VENV)/.ready ## maintainers: renew results/committed and README.md's answer (ONLY="accurate fluids")
+	$(BIN)/python -m tools.publish $(ONLY)
 
 check: $(VENV)/.ready ## recompute the stored tables and compare them cell by cell
 	$(FRACBENCH) check

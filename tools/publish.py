@@ -1,6 +1,8 @@
 """Renew the committed tables and figures, and the answer in README.md, from the results of the working folder.
 
-Run as ``make publish``, after ``make paper`` and ``make beyond``, from a clean commit and on Middlebury.
+Run as ``make publish``, after ``make paper``, ``make beyond`` and ``make fluids``, from a clean commit and on
+Middlebury.
+``make publish ONLY="accurate fluids"`` renews the tables and figures of these experiments alone.
 """
 
 from __future__ import annotations
@@ -9,6 +11,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from fracbench.commands.paper import PAPER
@@ -20,6 +23,7 @@ from fracbench.report.page.beyond import EXPERIMENTS
 from fracbench.report.sources import COMMITTED, SUFFIXES, Sources
 
 FOLDERS = ("tables", "figures")
+PUBLISHED = (*PAPER, *EXPERIMENTS, "fluids")
 #: The README's pictures that belong to no experiment, and the commands that write them.
 PICTURES = {
     "readme_alpha.png": ("sweep", "alpha=0:2:0.1", "region=grove2_A"),
@@ -27,9 +31,9 @@ PICTURES = {
 }
 
 
-def computed(results: Path) -> list[Path]:
-    """Return the files to publish, relative to the results folder: the paper's and those beyond it."""
-    names = "|".join((*PAPER, *EXPERIMENTS, "answer", "claims"))
+def computed(results: Path, only: Sequence[str] = ()) -> list[Path]:
+    """Return the files to publish, relative to the results folder: all, or those of some experiments."""
+    names = "|".join(only or (*PUBLISHED, "answer", "claims"))
     wanted = re.compile(rf"(?!\.)({names})(_\w+)?\.\w+")
     endings = tuple(suffix for suffix in SUFFIXES if suffix)
     return [
@@ -40,7 +44,7 @@ def computed(results: Path) -> list[Path]:
     ]
 
 
-def problems(results: Path, committed: Path, sources: Sources) -> list[str]:
+def problems(results: Path, committed: Path, sources: Sources, only: Sequence[str] = ()) -> list[str]:
     """Return the reasons why the files cannot be published, a line each; none if they can.
 
     Reasons are synthetic data, points that are missing or come from a commit with local changes, and files that
@@ -49,18 +53,18 @@ def problems(results: Path, committed: Path, sources: Sources) -> list[str]:
     if sources.stand_in:
         return ["the Middlebury sequences are not at hand: the tables would be of synthetic scenes"]
     found = []
-    for name in (*PAPER, *EXPERIMENTS):
+    for name in only or PUBLISHED:
         source = sources.get(name)
         if source.n_missing:
             found.append(f"{name}: {source.n_missing} of {source.n_points} points are missing: {source.command}")
         n_dirty = sum(bool(row.provenance.get("dirty")) for row in source.rows.values())
         if n_dirty:
             found.append(f"{name}: {n_dirty} points were computed from a commit with local changes")
-    files = computed(results)
-    here = {path.relative_to(committed) for folder in FOLDERS for path in (committed / folder).glob("*")}
-    absent = sorted(path for path in here - {*files} if path.name not in PICTURES)
+    files = computed(results, only)
+    absent = sorted({*computed(committed, only)} - {*files})
     if absent:
-        found.append(f"{results}: lacks {', '.join(map(str, absent))}; run make paper and make beyond")
+        lacking = ", ".join(map(str, absent))
+        found.append(f"{results}: lacks {lacking}; run make paper, make beyond and make fluids")
     for path in files:
         if path.suffix == ".md" and " with local changes" in (results / path).read_text(encoding="utf-8"):
             found.append(f"{results / path}: was computed from a commit with local changes")
@@ -73,10 +77,10 @@ def copy(source: Path, target: Path) -> None:
         shutil.copyfile(source, temporary)
 
 
-def publish(results: Path, committed: Path) -> int:
+def publish(results: Path, committed: Path, only: Sequence[str] = ()) -> int:
     """Copy the computed tables and figures over the committed ones; return how many files differ now."""
     changed = 0
-    for path in computed(results):
+    for path in computed(results, only):
         source, target = results / path, committed / path
         if not target.is_file() or source.read_bytes() != target.read_bytes():
             target.parent.mkdir(parents=True, exist_ok=True)
@@ -92,17 +96,23 @@ def draw(picture: str) -> Path:
     return Path(re.findall(r"(\S+\.png)\b", said)[-1])
 
 
-def main() -> int:
-    """Check, copy, and renew the README; return the exit code."""
+def main(only: Sequence[str]) -> int:
+    """Check and copy, and renew the README unless some experiments are named; return the exit code."""
+    unknown = [name for name in only if name not in PUBLISHED]
+    if unknown:
+        raise InputError(f"publish: {unknown[0]} is not published (allowed: {', '.join(PUBLISHED)})")
     root = checkout()
     if root is None or root != Path.cwd():
         raise InputError(f"publish: run it at the top of the checkout, {root}")
     results, committed = root / "results", root / COMMITTED
     sources = Sources(results)
-    found = problems(results, committed, sources)
+    found = problems(results, committed, sources, only)
     if found:
         print("\n".join(["nothing is published:", *found]), file=sys.stderr)
         return 2
+    if only:
+        print(f"renewed {publish(results, committed, only)} files of {', '.join(only)} in {COMMITTED}")
+        return 0
     drawn = {picture: draw(picture) for picture in PICTURES}  # first: a command that fails leaves the copies alone
     changed = publish(results, committed)
     for picture, path in drawn.items():
@@ -114,7 +124,7 @@ def main() -> int:
 
 if __name__ == "__main__":
     try:
-        sys.exit(main())
+        sys.exit(main(sys.argv[1:]))
     except InputError as exc:
         print(f"error: {exc}", file=sys.stderr)
         sys.exit(2)

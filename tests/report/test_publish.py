@@ -130,5 +130,21 @@ def test_files_that_cannot_be_published(folders):
     (results / "figures/fig2_reference.png").unlink()
     (results / "tables/table2.md").write_text("computed with numpy 2.0, commit abc with local changes.")
     missing, dirty = publish.problems(results, committed, stored())
-    assert "lacks figures/fig2_reference.png; run make paper and make beyond" in missing
+    assert "lacks figures/fig2_reference.png; run make paper, make beyond and make fluids" in missing
     assert "table2.md: was computed from a commit with local changes" in dirty
+
+
+def test_some_experiments_are_published_alone(folders):
+    results, committed = folders
+    for home, text in ((results, "new"), (committed, "old")):
+        (home / "tables/fluids_flows.csv").write_text(text)
+    sources = stored(n_missing=2)
+    assert publish.problems(results, committed, sources, ["fluids"]) == []
+    assert publish.publish(results, committed, ["fluids"]) == 1
+    assert (committed / "tables/fluids_flows.csv").read_text() == "new"
+    assert (committed / "tables/table2.md").read_text() == "old"
+
+
+def test_an_unknown_experiment_is_not_published(monkeypatch):
+    with pytest.raises(publish.InputError, match="fluid_s is not published"):
+        publish.main(["fluid_s"])
