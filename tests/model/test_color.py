@@ -73,3 +73,16 @@ def test_the_flow_back_follows_the_colours_of_frame_1(frames):
 def test_gray_frames_have_no_colour(frames):
     with pytest.raises(InputError, match="weighted_guide=color needs frames in colour"):
         estimate_flow(frames[0, ..., 0], frames[1, ..., 0], weighted_guide="color", **GUIDED)
+
+
+def test_transposing_the_frames_transposes_the_flow(frames):
+    here, there = (
+        estimate_flow(*pair, weighted_guide="color", **GUIDED).flow
+        for pair in (frames, [frame.transpose(1, 0, 2) for frame in frames])
+    )
+    np.testing.assert_allclose(there, here[::-1].transpose(0, 2, 1), atol=1e-4)
+
+
+def test_an_unknown_guide_is_refused(frames):
+    with pytest.raises(InputError, match="unknown value of `weighted_guide` 'colour': did you mean 'color'"):
+        estimate_flow(*frames, weighted_guide="colour", **GUIDED)

@@ -17,7 +17,7 @@ from fracbench.errors import InputError
 from fracbench.evaluation.fluid_errors import derivative_errors, errors_by_gradient
 from fracbench.evaluation.metrics import flow_errors
 from fracbench.harness.run import compute_point
-from fracbench.harness.run.compute_point import point_arrays, run_point
+from fracbench.harness.run.compute_point import point_arrays, point_options, run_point
 from fracbench.harness.run.point import Point
 from fracbench.methods.method import Method
 from fracbench.methods.paper import energy_growth
@@ -66,6 +66,23 @@ def test_the_errors_are_those_of_the_python_interface(method):
     assert outcome.result["stop"] == flow.stop_reason
     assert outcome.seconds > 0
     assert outcome.machine["versions"]["numpy"] == np.__version__
+
+
+def test_a_box_with_context_is_guided_by_its_own_colours(monkeypatch):
+    rng = np.random.default_rng(5)
+    colors = rng.integers(0, 256, (2, 40, 50, 3)).astype(np.uint8)
+    gray0, gray1 = colors.astype(np.float64).mean(axis=3)
+    digest = synthetic.digest("edge")
+    truth = np.zeros((2, 40, 50), np.float32)
+    pair = FramePair("edge", "synthetic", gray0, gray1, truth, digest, frame0_color=colors[0])
+    monkeypatch.setattr(compute_point, "_sequence_of", lambda point, folder: pair)
+    point = a_point("tvl1_sb_alpha_ic", box=(8, 32, 6, 42), context=4, weighted_radius=2, weighted_guide="color")
+    given = point_options(point, None)
+    np.testing.assert_array_equal(given["color"], colors[0][4:36, 2:46])
+    assert point_options(dataclasses.replace(point, method="tvl1"), None) == {}
+    chosen = get_method(point.method)
+    flow = chosen.compute(gray0[4:36, 2:46], gray1[4:36, 2:46], point.params, **given).flow
+    assert run_point(point, None).result["aepe"] == pytest.approx(np.hypot(*flow[:, 4:-4, 4:-4]).mean(), rel=1e-5)
 
 
 def test_a_box_is_computed_alone_and_scored_inside():
