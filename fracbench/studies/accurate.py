@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 #: Parts of the experiment: none of the ingredients, all of them, and the grid the preset is chosen from.
 PLAIN, ALL, CHOICE = "plain", "accurate", "choice"
+#: No candidate of the choice: a preset for frames in gray must not ask for colour.
+COLOUR = f"{ALL}+colour weights"
 #: Prefix of the other parts' names, the change made there, and the part to compare with.
 _CHANGES = {
     f"{PLAIN}/": ("added alone", PLAIN),
@@ -35,9 +37,10 @@ _LEGEND = (
     "AEPE for each sequence."
 )
 _CHOICE_LEGEND = (
-    f"Among the preset, the preset with an ingredient taken away or added, and the weights of `{CHOICE}`, the "
-    "setting with the least mean AEPE on the other sequences is scored on each sequence (leave-one-out): its true "
-    "flow does not influence the choice. `all in`: the setting with the least mean over all."
+    "Among the preset, the preset with an ingredient (other than colour) taken away or added, and the settings of "
+    f"`{CHOICE}`, the setting with the least mean AEPE on the other sequences is scored on each sequence "
+    "(leave-one-out): its true flow does not influence the choice. `all in`: the setting with the least mean over "
+    "all."
 )
 
 
@@ -49,7 +52,8 @@ def accurate_study(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], 
     table = tidy(plan, rows)
     table["seconds"] = [rows[key].seconds if key in rows else math.nan for key in table["key"]]
     ablation = ablation_table(table[table["part"] != CHOICE])
-    choice = choice_table(table[[str(part).startswith((ALL, CHOICE)) for part in table["part"]]])
+    candidates = [str(part).startswith((ALL, CHOICE)) and part != COLOUR for part in table["part"]]
+    choice = choice_table(table[candidates])
     lines = [*ablation_sentences(ablation), *choice_sentences(choice)]
     stem = file_stem(experiment.name, plan, results / TABLES)
     files = [

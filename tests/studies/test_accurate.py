@@ -184,3 +184,12 @@ def test_a_study_without_its_parts_is_refused(study, tmp_path):
     without = dataclasses.replace(experiment, grids={k: v for k, v in experiment.grids.items() if k != "choice"})
     with pytest.raises(InputError, match="experiment accurate: the grid `choice` is missing"):
         accurate_study(without, plan, {}, tmp_path)
+
+
+def test_the_preset_for_gray_frames_is_not_chosen_among_colours(study, tmp_path, fake_rows):
+    experiment, plan = study
+    rows = fake_rows(plan, lambda labels, params: (0.1, 0.1 if "color" in params.values() else 0.2, 0.3))
+    drawn = accurate_study(experiment, plan, rows, tmp_path)
+    choice = pd.read_csv(next(path for path in drawn.files if path.stem.endswith("_choice")))
+    assert choice["AEPE"].to_numpy() == pytest.approx(0.2)
+    assert "colour weights: added to the whole -50.0 % AEPE." in drawn.lines
