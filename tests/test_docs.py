@@ -77,6 +77,96 @@ def document() -> str:
     return (ROOT / "docs/protocol.md").read_text(encoding="utf-8")
 
 
+def stored(name: str) -> pd.DataFrame:
+    return pd.read_csv(ROOT / f"results/committed/tables/{name}.csv")
+
+
+def table_of(path: str, first: str) -> list[list[str]]:
+    """The rows below the heading `first` of a document's table, up to its end."""
+    text = (ROOT / path).read_text(encoding="utf-8")
+    return rows(text[text.index(f"\n| {first} |") :].partition("\n\n")[0])[2:]
+
+
+def assert_told(cell: str, values: list[float]) -> None:
+    """Assert that the numbers of a cell are the values, rounded to the digits that it has."""
+    told = re.findall(r"-?\d+\.?\d*", cell.replace(" - ", " "))
+    assert [float(x) for x in told] == [
+        round(v, len(x.partition(".")[2])) for x, v in zip(told, values, strict=True)
+    ]
+
+
+FLUID_METHODS = (
+    "protocol fluid", "alpha = 1", "OpenPIV", "scikit-image TV-L1", "OpenCV DualTVL1", "scikit-image iLK",
+    "OpenCV DIS", "OpenCV Farneback",
+)  # fmt: skip
+
+
+def test_the_errors_of_fluids_are_those_of_the_stored_table():
+    found = stored("fluids")
+    flows = found[["dataset", "flow"]].drop_duplicates().to_numpy()
+    told = table_of("docs/fluids.md", "flow")
+    assert len(told) == len(flows)  # in the order of the stored table
+    for (dataset, flow), row in zip(flows, told, strict=True):
+        errors = found[(found["dataset"] == dataset) & (found["flow"] == flow)].set_index("method")
+        for method, cell in zip(FLUID_METHODS, row[1:], strict=True):
+            names = ["aepe", "aepe_low", "aepe_high"] if "(" in cell else ["aepe"]
+            assert_told(cell, [errors.loc[method, name] for name in names])
+
+
+def test_the_derivatives_and_orders_of_fluids_are_those_of_the_stored_tables():
+    found = stored("fluids")
+    means = found[found["flow"] == "mean"].set_index(["dataset", "method"])
+    dataset = ""
+    for label, *cells in table_of("docs/fluids.md", "mean over flows"):
+        dataset = {"rendered": "particles", "public pairs": "piv"}.get(label.partition(":")[0], dataset)
+        method = "protocol fluid" if "protocol" in label else label
+        for name, cell in zip(
+            ("vorticity", "vorticity_grid", "divergence", "divergence_grid"), cells, strict=True
+        ):
+            assert_told(cell, [means.loc[(dataset, method), name]])
+    orders = stored("fluids_orders")
+    orders = orders[(orders["flow"] == "mean") & (orders["lambda"] == orders["lambda"].min())]
+    for dataset, (_, *cells) in zip(("particles", "piv"), table_of("docs/fluids.md", "order"), strict=True):
+        for cell, error in zip(cells, orders[orders["dataset"] == dataset]["aepe"], strict=True):
+            assert_told(cell, [error])
+
+
+def test_the_settings_of_fluids_are_those_of_the_stored_table():
+    found = stored("fluids_settings").set_index(["setting", "value", "method"])["aepe"]
+    names = {"particles a pixel": "density", "noise, gray levels": "noise", "share of lost pairs": "lost",
+             "largest displacement, px": "displacement"}  # fmt: skip
+    methods = (*FLUID_METHODS[:3], "OpenPIV, windows to 32 px", "scikit-image TV-L1", "OpenCV DIS")
+    setting = ""
+    for label, value, *cells in table_of("docs/fluids.md", "setting"):
+        setting = names.get(label, setting)
+        for method, cell in zip(methods, cells, strict=True):
+            assert_told(cell, [found[setting, float(value), method]])
+
+
+def test_the_ablation_of_the_accurate_preset_is_that_of_the_stored_table():
+    aepe = stored("accurate").set_index("part")["AEPE"]
+    parts = {"finer pyramid": "pyramid", "flow in two parts": "infimal convolution"}
+    parts |= {"structure-texture decomposition": "structure-texture", "derivatives of both frames": "derivatives"}
+    told = {row[0].partition(" (")[0]: row[-1] for row in table_of("docs/beyond.md", "ingredient")}
+    changed = {re.split("[/+]", part)[1] for part in aepe.index if part not in ("plain", "accurate")}
+    assert {parts.get(name, name) for name in told} == changed
+    for name, cell in told.items():
+        pairs = [(f"{whole}{parts.get(name, name)}", whole[:-1]) for whole in ("plain/", "accurate/", "accurate+")]
+        assert_told(cell, [100.0 * (aepe[part] / aepe[whole] - 1.0) for part, whole in pairs if part in aepe])
+
+
+def test_the_errors_of_the_accurate_preset_are_those_of_the_stored_table():
+    found = stored("accurate").set_index("part")
+    choice = stored("accurate_choice").set_index("sequence")
+    gray, color = found.loc["accurate"], found.loc["accurate+colour weights"]
+    for label, _, *cells in table_of("docs/beyond.md", "sequence | AEPE before, px"):
+        if label.startswith("mean, setting"):
+            assert_told(" ".join(cells), [choice.loc["left out", name] for name in ("AEPE", "AAE")])
+            continue
+        end = "" if label == "mean" else f" {label.lower()}"
+        assert_told(" ".join(cells), [part[f"{name}{end}"] for part in (gray, color) for name in ("AEPE", "AAE")])
+
+
 def test_the_readme_shows_the_stored_answer():
     answer = (ROOT / "results/committed/tables/answer.md").read_text(encoding="utf-8")
     assert answer in (ROOT / "README.md").read_text(encoding="utf-8"), "run: make publish"

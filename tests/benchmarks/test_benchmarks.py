@@ -12,6 +12,7 @@ import common
 import elimination
 import growth
 import jobs
+import lost_pairs
 import numpy as np
 import openpiv_images
 import pandas as pd
@@ -131,3 +132,13 @@ def test_without_openpiv_its_images_are_skipped_with_the_reason(monkeypatch, tmp
     assert openpiv_images.main([f"paths.results={tmp_path}"]) == 0
     assert "skipped: OpenPIV, whose pictures these are, is not installed: pip install" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_check_notices_a_flow_that_lost_pairs_broke(monkeypatch, tmp_path):
+    monkeypatch.setattr(lost_pairs, "FLOWS", ("lamb_oseen",))
+    monkeypatch.setattr(lost_pairs, "SHARES", (0.05, 0.6))
+    monkeypatch.setattr(lost_pairs, "SEEDS", (0,))
+    assert lost_pairs.main([f"paths.results={tmp_path}"]) == 0
+    few, many = pd.read_csv(tmp_path / "runs" / "bench" / "lost_pairs.csv").to_dict("records")
+    assert few["agree"] > 0.99 and few["aepe"] < 0.1
+    assert many["agree"] < 0.9 and many["aepe"] > 1.0
