@@ -64,6 +64,9 @@ def weighted_median(
     space = (2 * radius + 1) ** 2
     values, weights = np.empty((2, space), flow.dtype), np.empty((2, space), flow.dtype)
     least, largest = np.empty(2, flow.dtype), np.empty(2, flow.dtype)
+    away = np.arange(-radius, radius + 1) ** 2 / (2.0 * SIGMA_DISTANCE**2)
+    closeness = np.exp(-(away.reshape(-1, 1) + away)).astype(flow.dtype)
+    scale = guide.dtype.type(-1.0 / (2.0 * SIGMA_GUIDE**2))
     for i in range(start, stop):
         for j in range(width):
             if not mask[i, j]:
@@ -78,8 +81,7 @@ def weighted_median(
                         apart += change * change
                     if apart > (CUT * SIGMA_GUIDE) ** 2 or trust[p, q] <= 0.0:
                         continue
-                    away = ((p - i) ** 2 + (q - j) ** 2) / (2.0 * SIGMA_DISTANCE**2)
-                    weight = trust[p, q] * math.exp(-away - apart / (2.0 * SIGMA_GUIDE**2))
+                    weight = trust[p, q] * closeness[p - i + radius, q - j + radius] * math.exp(scale * apart)
                     for c in range(2):
                         value = flow[c, p, q]
                         values[c, count], weights[c, count] = value, weight
