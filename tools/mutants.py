@@ -3,14 +3,19 @@
 Cosmic Ray finds the places and makes the changes, in clones of the last commit. The tests concerned are those that
 name the module, and then all of its room. The differences of mutants that no test kills are printed, and the exit
 code is then 1. Equal seeds give equal mutants.
+
+``build/mutants.txt`` lists what was killed. It is not tried again while its module stays the same, so that a run
+that was stopped goes on, and survivors meet the tests added since.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import os
 import random
 import re
+import shlex
 import subprocess
 import sys
 import tempfile
@@ -28,7 +33,8 @@ from cosmic_ray.work_item import TestOutcome
 
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("model", "evaluation", "harness/run", "harness/check")
-SECONDS = 600.0  # for the tests of a mutant; one that loops for ever ends by the clock
+KILLED = ROOT / "build" / "mutants.txt"
+SECONDS = 300.0  # for each step of the tests of a mutant; one that loops for ever ends by the clock
 # Without annotations and decorators: under `from __future__ import annotations` and numba they change no result.
 _LEFT_OUT = ("RemoveDecorator", "BitOr", "BitAnd", "BitXor", "Shift")
 
@@ -67,19 +73,33 @@ def concerned(module: Path, root: Path) -> list[list[str]]:
 
 def outcome(mutation: Any) -> tuple[str, str]:
     """Test a mutant in this process's clone; return the verdict and the failing test or the change."""
-    started, diff = monotonic(), ""
+    diff = ""
     for tests in concerned(mutation.module_path, Path()):
-        left = max(SECONDS - (monotonic() - started), 60.0)
-        command = f"{sys.executable} -m pytest -x -q -p no:cacheprovider {' '.join(tests)}"
-        result = mutate_and_test([mutation], command, left)
+        command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *tests]
+        result = mutate_and_test([mutation], shlex.join(command), SECONDS)
         diff = result.diff or result.output or ""
         if result.output == "timeout":
-            return "over time", diff
+            return "killed" if _ends_soon(command) else "over time", f"by the clock in {' '.join(tests)}"
         if result.test_outcome != TestOutcome.SURVIVED:
             failed = re.search(r"^(?:FAILED|ERROR) (\S+)", result.output or "", re.MULTILINE)
             verdict = result.test_outcome.value if result.test_outcome else "no test"
             return str(verdict), failed[1] if failed else diff
     return "survived", diff
+
+
+def _ends_soon(command: Sequence[str]) -> bool:
+    """Say whether these tests pass in a third of the time as long as nothing is changed."""
+    try:
+        done = subprocess.run(command, stdout=subprocess.DEVNULL, check=False, timeout=SECONDS / 3)
+    except subprocess.TimeoutExpired:
+        return False
+    return done.returncode == 0
+
+
+def name_of(mutation: Any) -> str:
+    """Return the name of a mutant, which another text of its module changes."""
+    digest = hashlib.sha256((ROOT / mutation.module_path).read_bytes()).hexdigest()[:12]
+    return f"{mutation.module_path} {digest} {mutation.operator_name} {mutation.occurrence}"
 
 
 def own_clone() -> None:
@@ -106,15 +126,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--jobs", type=int, default=2, help="processes (default: 2)")
     given = parser.parse_args(argv)
     chosen, started = mutants(given.number, given.seed, given.rooms), monotonic()
-    counts, survivors = Counter[str](), []
-    with ProcessPoolExecutor(given.jobs, initializer=own_clone) as pool:
-        running = {pool.submit(_within, started + 60 * given.minutes, each): each for each in chosen}
+    known = set(KILLED.read_text("utf-8").splitlines()) if KILLED.exists() else set()
+    open_ones = [each for each in chosen if name_of(each) not in known]
+    counts, survivors = Counter[str](killed=len(chosen) - len(open_ones)), []
+    KILLED.parent.mkdir(exist_ok=True)
+    with ProcessPoolExecutor(given.jobs, initializer=own_clone) as pool, KILLED.open("a", encoding="utf-8") as log:
+        running = {pool.submit(_within, started + 60 * given.minutes, each): each for each in open_ones}
         for future in as_completed(running):
             mutation, (verdict, diff) = running[future], future.result()
             counts[verdict] += 1
             if verdict != "not run":
                 place = f"{mutation.module_path}:{mutation.start_pos[0]}"
                 print(f"{verdict:<10} {place} {mutation.operator_name.removeprefix('core/')} {diff}", flush=True)
+            if verdict == "killed":
+                print(name_of(mutation), file=log, flush=True)
             if verdict == "survived":
                 survivors.append(mutation)
     ran = counts.total() - counts["not run"]
