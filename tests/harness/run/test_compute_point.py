@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from threadpoolctl import threadpool_info
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from fracbench import estimate_flow
 from fracbench.data.datasets.synthetic import scenes as synthetic
@@ -18,10 +18,11 @@ from fracbench.evaluation.fluid_errors import derivative_errors, errors_by_gradi
 from fracbench.evaluation.metrics import flow_errors
 from fracbench.harness.run import compute_point
 from fracbench.harness.run.compute_point import point_arrays, point_options, run_point
+from fracbench.harness.run.flows import keep_flow
 from fracbench.harness.run.point import Point
 from fracbench.methods.method import Method
 from fracbench.methods.paper import energy_growth
-from fracbench.methods.registry import get_method
+from fracbench.methods.registry import METHODS, get_method
 from fracbench.methods.warmup import SIDE
 from fracbench.model.coarse_to_fine import FlowResult
 from fracbench.model.params import FlowParams
@@ -111,6 +112,20 @@ def test_the_whole_frame_is_scored_without_a_box():
     assert frame0[inner].shape == frame0.shape == truth.shape[1:] == synthetic.scene("edge").shape
 
 
+def test_unknown_pixels_count_as_zero_where_the_score_says_so(monkeypatch):
+    use_method(monkeypatch, still)
+    scene = synthetic.scene("edge")
+    truth = scene.truth.copy()
+    truth[:, :10] = np.nan
+    size, unknown = truth[0].size, 10 * truth.shape[2]
+    monkeypatch.setattr(compute_point, "_held", {scene.digest: dataclasses.replace(scene, truth=truth)})
+    left_out = run_point(a_point(), None).result
+    counted = run_point(dataclasses.replace(a_point(), score="unknown_as_zero"), None).result
+    assert (left_out["n_pixels"], left_out["n_unknown"]) == (size - unknown, unknown)
+    assert (counted["n_pixels"], counted["n_unknown"]) == (size, 0)
+    assert counted["aepe"] == pytest.approx(left_out["aepe"] * (size - unknown) / size)
+
+
 def test_every_box_is_its_own_cut():
     boxes = [((3, 70, 40, 100), 7), ((3, 70, 40, 100), 0), ((4, 71, 40, 100), 0)] * 2
     whole = synthetic.scene("edge").frame0
@@ -132,6 +147,19 @@ def test_one_thread_is_at_work(monkeypatch):
 
     use_method(monkeypatch, estimate)
     assert run_point(a_point(), None).status == "done"
+    assert threads and set(threads) == {1}
+
+
+def test_a_flow_is_kept_as_one_thread_computes_it(monkeypatch, tmp_path):
+    threads = []
+
+    def estimate(frame0, frame1, params):
+        threads.extend(pool["num_threads"] for pool in threadpool_info())
+        return still(frame0, frame1, params)
+
+    monkeypatch.setitem(METHODS, "tvl1", Method("tvl1", "fake", "fake", estimate, frame_dtype=None))
+    with threadpool_limits(2):
+        keep_flow(a_point(), None, tmp_path / "a.flo")
     assert threads and set(threads) == {1}
 
 

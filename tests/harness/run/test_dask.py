@@ -9,6 +9,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -313,3 +314,14 @@ def test_dask_that_is_not_installed(monkeypatch):
     monkeypatch.setattr(dask.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"pip install 'fracbench\[dask\]'"):
         dask.DaskPool("tcp://127.0.0.1:8786", None)
+
+
+@pytest.mark.parametrize(("workers", "said"), [({}, 1), ({"tcp://there:1": 1}, 0)])
+def test_a_cluster_without_workers_is_told_once(monkeypatch, store, caplog, workers, said):
+    client = SimpleNamespace(status="running", nthreads=lambda: workers, subscribe_topic=lambda *_: None)
+    monkeypatch.setattr(dask, "_connect", lambda address: client)
+    monkeypatch.setattr(dask, "_POLL_SECONDS", 0.0)
+    pool = dask.DaskPool("tcp://there:8786", store)
+    for _ in range(3):
+        pool._look()
+    assert caplog.messages == ["tcp://there:8786 has no workers yet; waiting for them"] * said

@@ -1,7 +1,8 @@
-"""Without numba's extension interface SciPy's transforms and dense products give the same flows."""
+"""Without compilation squares are copied alike; without numba's extension interface flows are the same."""
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import subprocess
 import sys
@@ -45,3 +46,21 @@ def test_flows_are_the_same_without_the_vector_type(tmp_path):
     for run, plain in zip(RUNS, np.load(out), strict=True):
         flow = estimate_flow(pair.frame0, pair.frame1, n_warps=2, **run).flow
         assert float(np.abs(flow - plain).max()) < 1e-4, run
+
+
+def test_squares_are_copied_and_brought_back_where_nothing_is_compiled(monkeypatch):
+    monkeypatch.setattr(config, "DISABLE_JIT", True)
+    spec = importlib.util.spec_from_file_location("plain_simd", simd.__file__)
+    plain = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(plain)
+    rng = np.random.default_rng(3)
+    image, rows = rng.normal(size=(19, 24)), rng.permutation(24)
+    for part in (0, 1):
+        work, back = np.zeros((48, 8)), np.zeros((19, 24))
+        plain.gather_square(image, 5, 8, rows, work, part)
+        assert np.count_nonzero(work) == 64
+        for j in range(8, 16):
+            np.testing.assert_array_equal(work[2 * rows[j] + part], image[5:13, j])
+        plain.scatter_square(work, rows, part, back, 5, 8)
+        np.testing.assert_array_equal(back[5:13, 8:16], image[5:13, 8:16])
+        assert np.count_nonzero(back) == 64
