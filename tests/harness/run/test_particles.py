@@ -65,6 +65,7 @@ def test_a_point_is_computed_on_the_pair_that_its_settings_give():
         (["dataset=particles", "lost=-0.1"], "lost must be finite and at least 0, got -0.1"),
         (["dataset=particles", "slope=2"], "`slope` is of sequence=solenoidal alone"),
         (["dataset=particles", "region=grove2_A"], "regions belong to Middlebury; dataset=particles has none"),
+        (["dataset=particles", "region=grove2_A,urban3_A"], "region=grove2_A: regions belong to Middlebury"),
         (["sequence=synthetic_edge", "density=0.1"], "density=0.1 needs dataset=particles"),
         (["sequence=grove2", "displacement=2"], "displacement=2 needs dataset=particles, sequence=grove2 is none"),
     ],

@@ -337,6 +337,30 @@ def test_a_writer_waits_half_a_minute_and_commits_are_durable(store: Store) -> N
     assert settings == {"busy_timeout": 30_000, "journal_mode": "wal", "synchronous": full}
 
 
+class Held:
+    """A database whose journal cannot be changed some times, for the reason of a code of SQLite's."""
+
+    def __init__(self, times: int, code: int) -> None:
+        self.times, self.code = times, code
+
+    def execute(self, _: str) -> None:
+        if self.times:
+            self.times -= 1
+            error = sqlite3.OperationalError("no")
+            error.sqlite_errorcode = self.code
+            raise error
+
+
+def test_the_journal_waits_for_another_process_and_for_nothing_else(monkeypatch) -> None:
+    db = Held(3, sqlite3.SQLITE_BUSY)
+    sqlite._prefer_wal(db)
+    assert db.times == 0
+    monkeypatch.setattr(sqlite, "BUSY_SECONDS", 0.0)
+    for held in (Held(1, sqlite3.SQLITE_READONLY), Held(2, sqlite3.SQLITE_BUSY)):
+        with pytest.raises(sqlite3.OperationalError):
+            sqlite._prefer_wal(held)
+
+
 def test_a_closed_store_is_an_error_and_closing_twice_is_not(store: Store) -> None:
     store.close()
     store.close()

@@ -293,18 +293,22 @@ def test_a_point_over_time_is_a_row_and_costs_no_other(store, monkeypatch, tmp_p
 
     def instead(point, finish):
         import ctypes
+        import signal
         import time
 
         with log.open("a") as file:
             file.write(f"{point.canonical['alpha']}\n")
         if point.canonical["alpha"] == "0":  # Python itself stands still: nothing else in this process gets a turn
-            ctypes.PyDLL(None).sleep(20)
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGALRM})  # which would end the sleep early
+            ctypes.PyDLL(None).sleep(60)
         time.sleep(0.4 if point.canonical["alpha"] == "1" else 0.0)
         return finish()
 
     replace_point(monkeypatch, instead)
     made = plan("alpha=0,1,2", "parallel.timeout=0.7")
+    started = time.monotonic()
     report = sweep.run(made, store, jobs=jobs)
+    assert time.monotonic() - started < 50.0  # its process was ended; nobody waited for the point
     rows = by_alpha(made, report)
     assert {alpha: (row.status, row.attempts) for alpha, row in rows.items()} == {
         "0": ("timeout", 1), "1": ("done", 1), "2": ("done", 1)
