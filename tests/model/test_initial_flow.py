@@ -5,7 +5,9 @@ import pytest
 import reference_impl as ref
 
 from fracbench import estimate_flow
+from fracbench.errors import InputError
 from fracbench.model import pyramid
+from fracbench.model.coarse_to_fine import check_initial_flow
 
 METHODS = pytest.mark.parametrize(
     "method", ["tvl1", "tvl1_sb", "tvl1_sb_alpha", "tvl1_sb_alpha_map", "tvl1_sb_alpha_ic"]
@@ -65,3 +67,13 @@ def test_a_flow_is_downsampled_with_its_values():
     y, x = np.mgrid[:h, :w] * np.reshape([shape[0] / h, shape[1] / w], (2, 1, 1))
     expected = np.stack([(2.0 + 0.10 * x - 0.05 * y) * w / 90, (-1.0 + 0.03 * x + 0.08 * y) * h / 61])
     np.testing.assert_allclose(coarse[:, 3:-3, 3:-3], expected[:, 3:-3, 3:-3], atol=0.03)
+
+
+def test_a_start_that_cannot_be_used_is_named_with_its_first_bad_pixel():
+    with pytest.raises(InputError, match=r"shape \(2, 20, 25\) given, \(2, 20, 26\) needed"):
+        check_initial_flow(np.zeros((2, 20, 25)), (20, 26))
+    start = np.zeros((2, 20, 26))
+    check_initial_flow(start, (20, 26))
+    start[0, 3, 5], start[1, 17, 2] = np.nan, np.inf
+    with pytest.raises(InputError, match="2 of 520 pixels are .* the first at row 3, column 5"):
+        check_initial_flow(start, (20, 26))

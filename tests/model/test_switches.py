@@ -9,7 +9,12 @@ from fracbench.errors import InputError
 from fracbench.methods.registry import get_method
 from fracbench.model import pyramid
 from fracbench.model.data_terms.brightness import Brightness
-from fracbench.model.data_terms.switched import SwitchedBrightness, image_gradient, switched_residual
+from fracbench.model.data_terms.switched import (
+    SwitchedBrightness,
+    image_gradient,
+    sample_planes,
+    switched_residual,
+)
 from fracbench.model.kernels.pointwise import shrink_each, threshold, update_each
 from fracbench.model.operators.forward import ForwardDifferences
 from fracbench.model.params import SWITCHES, FlowParams
@@ -200,6 +205,19 @@ def test_bicubic_samples_with_a_repeated_border_are_those_of_the_kernel(rng):
         near = [(r, c) for r in range(int(y) - 1, int(y) + 3) for c in range(int(x) - 1, int(x) + 3)]
         twin = sum(keys(y - r) * keys(x - c) * frame1[np.clip(r, 0, 22), np.clip(c, 0, 29)] for r, c in near)
         assert value[i, j] == pytest.approx(twin, abs=1e-9)
+
+
+@pytest.mark.parametrize("cubic", [False, True])
+def test_samples_on_the_border_read_nothing_beyond_it(rng, cubic):
+    memory = np.full((1, 8, 10), np.nan)
+    planes = memory[:, :6, :7]
+    planes[...] = rng.normal(size=(1, 6, 7))
+    rows, columns = np.mgrid[:6, :7]
+    u0 = np.stack([np.where(columns > 3, 6.0 - columns, 0.0), np.where(rows > 3, 5.0 - rows, 0.0)])
+    warped, out = np.empty((1, 6, 7)), np.empty((6, 7), bool)
+    sample_planes(planes, u0, cubic, True, warped, out, 0, 6)
+    expected = planes[0][np.where(rows > 3, 5, rows), np.where(columns > 3, 6, columns)]
+    np.testing.assert_allclose(warped[0], expected, atol=1e-14)
 
 
 @pytest.mark.parametrize("outside", ["zero", "frame0", "off"])
