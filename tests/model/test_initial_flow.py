@@ -75,5 +75,5 @@ def test_a_start_that_cannot_be_used_is_named_with_its_first_bad_pixel():
     start = np.zeros((2, 20, 26))
     check_initial_flow(start, (20, 26))
     start[0, 3, 5], start[1, 17, 2] = np.nan, np.inf
-    with pytest.raises(InputError, match="2 of 520 pixels are .* the first at row 3, column 5"):
+    with pytest.raises(InputError, match=r"2 of 520 pixels are .* the first at row 3, column 5"):
         check_initial_flow(start, (20, 26))

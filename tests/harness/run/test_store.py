@@ -7,6 +7,7 @@ import signal
 import sqlite3
 import subprocess
 import sys
+import tempfile
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -17,6 +18,8 @@ from fracbench.errors import FracbenchError, InputError
 from fracbench.harness.run import sqlite
 from fracbench.harness.run.sqlite import APPLICATION_ID, SCHEMA_VERSION, STATUSES, transaction
 from fracbench.harness.run.store import Row, Store, StoreError, canonical_json
+
+NOBODY = 65534
 
 
 def a_row(key: str = "k", **changes) -> Row:
@@ -216,10 +219,29 @@ def test_a_reader_sees_what_is_committed_and_cannot_write(store: Store, path: Pa
     assert len(store.rows()) == 2
 
 
-@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="this user may write anywhere")
-def test_a_read_only_folder(store: Store, path: Path) -> None:
-    store.put(a_row())
-    store.close()
+@pytest.fixture
+def folder_of_a_plain_user():
+    """A folder of a user who may not write everywhere, which is this process's user for the time of the test."""
+    if not hasattr(os, "setresuid"):
+        pytest.skip("there are no users here")
+    root = os.geteuid() == 0
+    with tempfile.TemporaryDirectory() as name:
+        if root:
+            os.chown(name, NOBODY, NOBODY)
+            os.setresuid(NOBODY, NOBODY, 0)
+        try:
+            if not os.access(name, os.W_OK):
+                pytest.skip(f"another user may not write to {name}")
+            yield Path(name)
+        finally:
+            if root:
+                os.setresuid(0, 0, 0)
+
+
+def test_a_read_only_folder(folder_of_a_plain_user: Path) -> None:
+    path = folder_of_a_plain_user / "store.sqlite"
+    with Store(path) as store:
+        store.put(a_row())
     path.chmod(0o444)
     path.parent.chmod(0o555)
     try:
