@@ -13,6 +13,7 @@ from fracbench.model.flow_filters import (
     REACH,
     SIGMA_DISTANCE,
     SIGMA_GUIDE,
+    _select,
     median,
     motion_edges,
     weighted_median,
@@ -148,3 +149,15 @@ def test_motion_edges_are_marked_within_reach():
     expected[:, 19 - REACH : 21 + REACH] = True
     np.testing.assert_array_equal(marked, expected)
     assert not motion_edges(0.1 * flow).any()
+
+
+def test_the_selected_value_is_the_first_whose_cumulative_weight_reaches_what_is_wanted(rng):
+    """Whole weights reach it exactly, as those of rounded numbers seldom do."""
+    for count in (1, 2, 3, 5, 8, 24):
+        for _ in range(10):
+            values, weights = rng.integers(0, 12, count).astype(float), rng.integers(1, 4, count).astype(float)
+            order = np.argsort(values)
+            cumulative = np.cumsum(weights[order])
+            for wanted in (0.5, *cumulative, *(cumulative - 0.5)):
+                expected = values[order][np.argmax(cumulative >= wanted)]
+                assert _select(values.copy(), weights.copy(), count, wanted) == expected
