@@ -59,7 +59,7 @@ def _flows(plan: Plan, table: pd.DataFrame, varying: list[str], results: Path, s
     from fracbench.figures.cache import draw
     from fracbench.figures.flowcolor import fastest, flow_to_color
     from fracbench.figures.pictures import frame_panel
-    from fracbench.harness.run.flows import flow_file, keep_flow
+    from fracbench.harness.run.compute_point import flow_file, keep_flow
     from fracbench.harness.run.pool import parallel_map
 
     unknown = table[(table["status"] == "done") & (table["n_pixels"] == 0)].drop_duplicates("key").head(MOST_FLOWS)

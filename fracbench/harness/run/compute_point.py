@@ -14,6 +14,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from fracbench.data.datasets.registry import get_dataset, load_sequence
+from fracbench.data.files import write_flow
 from fracbench.data.pair import FramePair
 from fracbench.data.regions import Crop, boxes, crop
 from fracbench.entry_points import described
@@ -189,6 +190,21 @@ def point_options(point: Point, folder: Path | None) -> dict[str, Any]:
     return {
         "color": color if point.region is None else color[boxes(point.region, sequence.shape, point.context)[0]]
     }
+
+
+def flow_file(point: Point, folder: Path) -> Path:
+    """Return where a point's flow is kept: the name changes with everything that the flow depends on."""
+    return folder / f"{point.key}.flo"
+
+
+def keep_flow(point: Point, data: Path | None, path: Path) -> None:
+    """Compute the flow of a point and write it, unless the file is there: it is there whole or not at all."""
+    if path.is_file():
+        return
+    frame0, frame1, _, inner = point_arrays(point, data)
+    with threadpool_limits(1):  # as for every stored number
+        result = get_method(point.method).compute(frame0, frame1, point.params, **point_options(point, data))
+    write_flow(path, result.flow[(slice(None), *inner)])
 
 
 def _sequence_of(point: Point, folder: Path | None) -> FramePair:

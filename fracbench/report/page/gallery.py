@@ -15,8 +15,7 @@ from fracbench.data.files import ensure_folder, read_flow
 from fracbench.evaluation.metrics import endpoint_error, flow_errors
 from fracbench.figures.flowcolor import color_wheel, fastest, flow_to_color
 from fracbench.figures.style import MISSING
-from fracbench.harness.run.compute_point import point_arrays
-from fracbench.harness.run.flows import flow_file, keep_flow
+from fracbench.harness.run.compute_point import flow_file, keep_flow, point_arrays
 from fracbench.harness.run.plan import Plan, make_plan
 from fracbench.harness.run.point import Point
 from fracbench.harness.run.store import RUNS
