@@ -20,8 +20,8 @@ from fracbench.commands import console
 from fracbench.commands.bench import results_stem, write_results
 from fracbench.commands.parser import Parser
 from fracbench.harness.run import provenance, sweep
-from fracbench.harness.run.message import Job
 from fracbench.harness.run.plan import Plan, make_plan
+from fracbench.harness.run.point import Job
 from fracbench.harness.run.store import Row, Store
 from fracbench.model import SOLVER_VERSION
 

@@ -11,7 +11,7 @@ import pytest
 from fracbench.commands import paper as reproduce
 from fracbench.data.files import write_image
 from fracbench.harness.run import sweep
-from fracbench.harness.run.message import Outcome
+from fracbench.harness.run.point import Outcome
 from fracbench.report.page import beyond, html
 
 TINY = "n_scales=1, n_warps=1, max_iter=1, sequence=synthetic_flat"

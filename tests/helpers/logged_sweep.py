@@ -24,7 +24,7 @@ def install(log: Path, seconds: float) -> None:
         import time
         from types import SimpleNamespace
 
-        from fracbench.harness.run.message import Outcome
+        from fracbench.harness.run.point import Outcome
 
         def say(what):
             with log.open("a") as file:

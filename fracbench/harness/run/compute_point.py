@@ -23,8 +23,7 @@ from fracbench.evaluation.class_errors import errors_by_class, errors_by_mask
 from fracbench.evaluation.fluid_errors import GRID, derivative_errors, errors_by_gradient, grid_points
 from fracbench.evaluation.metrics import flow_errors, outliers, with_unknown_as_zero
 from fracbench.harness.run import provenance
-from fracbench.harness.run.message import Outcome
-from fracbench.harness.run.point import MEASURES, Point, Scene
+from fracbench.harness.run.point import MEASURES, Outcome, Point, Scene
 from fracbench.harness.run.provenance import peak_mib, reset_peak
 from fracbench.methods.method import Method
 from fracbench.methods.paper import energy_growth

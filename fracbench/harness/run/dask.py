@@ -23,8 +23,7 @@ from typing import Any
 from fracbench.data.datasets.registry import get_dataset
 from fracbench.errors import RESUME, FracbenchError, InputError
 from fracbench.harness.run import provenance
-from fracbench.harness.run.message import Job
-from fracbench.harness.run.point import NO_DATA, Point
+from fracbench.harness.run.point import NO_DATA, Job, Point
 from fracbench.harness.run.pool import Ended
 from fracbench.harness.run.store import Row, Store
 from fracbench.model import SOLVER_VERSION

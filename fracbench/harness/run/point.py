@@ -1,4 +1,4 @@
-"""A point: one computation, and the key under which its result is stored."""
+"""A point: one computation, the key under which its result is stored, and its way to a worker and back."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 from fracbench.data.regions import Region
 from fracbench.harness.config.numbers import canonical_number
-from fracbench.harness.run.store import canonical_json
+from fracbench.harness.run.store import Row, canonical_json
 from fracbench.methods.method import fields_of
 from fracbench.methods.registry import get_method
 from fracbench.model import SOLVER_VERSION
@@ -121,3 +122,55 @@ def _canonical_option(value: Any) -> str | list[str]:
 
 def _sha256(value: Any) -> str:
     return hashlib.sha256(canonical_json(value).encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The end of a point: seconds of the estimate alone, and the largest resident memory of the process meanwhile.
+
+    A worker says ``done``, ``failed`` or ``diverged``; the process that ends it, ``timeout`` or ``crashed``.
+    """
+
+    status: str
+    error: str | None
+    result: dict[str, Any]
+    seconds: float | None
+    peak_mib: float | None
+    machine: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Job:
+    """A point on its way to a worker, with the key, the solver version and the commit that its parent has.
+
+    `attempt` counts its starts, this one included; `timeout` is in seconds.
+    """
+
+    key: str
+    point: Point
+    attempt: int
+    solver_version: int
+    commit: Mapping[str, Any]
+    folder: Path | None = None
+    timeout: float | None = None
+
+    def expired(self, machine: dict[str, Any]) -> Row:
+        """Return the row that says that the time is over."""
+        message = f"not finished within the {self.timeout:g} s allowed"
+        return self.row(Outcome("timeout", message, {}, None, None, machine))
+
+    def row(self, outcome: Outcome) -> Row:
+        """Return the row for the store."""
+        return Row(
+            key=self.key,
+            identity=self.point.identity,
+            spec=self.point.spec,
+            solver_version=self.solver_version,
+            status=outcome.status,
+            error=outcome.error,
+            result=outcome.result,
+            seconds=outcome.seconds,
+            peak_mib=outcome.peak_mib,
+            provenance={**outcome.machine, "threads": 1, **self.commit, "data": self.point.data_digest},
+            attempts=self.attempt,
+        )

@@ -21,7 +21,7 @@ from typing import Any, Protocol, TextIO, TypeVar
 
 from fracbench.errors import FracbenchError
 from fracbench.harness.run import provenance
-from fracbench.harness.run.message import Job
+from fracbench.harness.run.point import Job
 from fracbench.harness.run.store import Row, Store
 
 T = TypeVar("T")

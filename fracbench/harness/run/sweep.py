@@ -14,9 +14,8 @@ from typing import Any, Self
 from fracbench.errors import InputError
 from fracbench.harness.run import provenance
 from fracbench.harness.run.cost import pixels
-from fracbench.harness.run.message import Job, Outcome
 from fracbench.harness.run.plan import Plan
-from fracbench.harness.run.point import MEASURES, Point
+from fracbench.harness.run.point import MEASURES, Job, Outcome, Point
 from fracbench.harness.run.pool import LocalPool, Pool
 from fracbench.harness.run.store import Row, Store
 from fracbench.model import SOLVER_VERSION

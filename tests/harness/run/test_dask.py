@@ -19,9 +19,8 @@ pytest.importorskip("distributed", reason="needs the extra `dask`")
 from fracbench.data.files import write_image
 from fracbench.errors import DataError, FracbenchError, InputError
 from fracbench.harness.run import compute_point, dask, sweep
-from fracbench.harness.run.message import Job
 from fracbench.harness.run.plan import make_plan
-from fracbench.harness.run.point import Point
+from fracbench.harness.run.point import Job, Point
 from fracbench.harness.run.store import Row, Store
 from fracbench.model import SOLVER_VERSION
 from fracbench.model.params import FlowParams

@@ -18,8 +18,8 @@ from fracbench.errors import FracbenchError
 from fracbench.harness.run import point as point_module
 from fracbench.harness.run import pool as workers
 from fracbench.harness.run import sweep
-from fracbench.harness.run.message import Job
 from fracbench.harness.run.plan import make_plan
+from fracbench.harness.run.point import Job
 from fracbench.harness.run.store import Store
 
 FLAT = ("sequence=synthetic_flat", "n_scales=1", "n_warps=1", "max_iter=2")
@@ -51,7 +51,7 @@ def replace_point(monkeypatch, instead):
 
         from fracbench.harness.run import compute_point
         from fracbench.harness.run import pool as workers
-        from fracbench.harness.run.message import Outcome
+        from fracbench.harness.run.point import Outcome
 
         def finish(status="done", error=None):
             return Outcome(status, error, {}, 1.0, None, {"host": "h"})

@@ -12,8 +12,8 @@ import pytest
 from fracbench.figures.style import save_figure
 from fracbench.harness.config.experiment import load_experiment
 from fracbench.harness.run.compute_point import run_point
-from fracbench.harness.run.message import Job
 from fracbench.harness.run.plan import plan_experiment
+from fracbench.harness.run.point import Job
 from fracbench.model import SOLVER_VERSION
 from fracbench.studies.fluids.artefact import fluids
 from fracbench.studies.fluids.figures import flow_panels, order_panels, setting_panels
