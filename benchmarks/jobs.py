@@ -36,12 +36,13 @@ def by_jobs(tokens: Sequence[str], jobs: int, *, repeats: int, on_lap: Callable[
                 started = time.perf_counter()
                 report = sweep.run(plan, store, jobs=number)
                 seconds = time.perf_counter() - started
+                rows = [*report.rows.values()]
             if round_number == 0:
                 continue
             times.append(seconds)
             if number == 1:
-                computing = sum(row.seconds or 0.0 for row in report.rows.values())
-                overheads.append(1e3 * (seconds - computing) / len(report.rows))
+                computing = sum(row.seconds or 0.0 for row in rows)
+                overheads.append(1e3 * (seconds - computing) / len(rows))
             on_lap()
     one, several = median(took[1]), median(took[jobs])
     return {

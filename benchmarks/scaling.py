@@ -20,6 +20,7 @@ from fracbench.commands import console
 from fracbench.commands.bench import results_stem, write_results
 from fracbench.commands.parser import Parser
 from fracbench.harness.run import provenance, sweep
+from fracbench.harness.run.batches import Batch
 from fracbench.harness.run.plan import Plan, make_plan
 from fracbench.harness.run.point import Job
 from fracbench.harness.run.store import Row, Store
@@ -28,6 +29,7 @@ from fracbench.model import SOLVER_VERSION
 GRID = ("sequence=synthetic_edge", "alpha=0.05:2:0.05")
 _WARM = ("sequence=synthetic_edge", "alpha=2.0", "lambda=0.5,0.6", "max_iter=1")
 N_POINTS = 100_000
+_BATCH = 20
 
 
 @dataclass(frozen=True)
@@ -66,8 +68,9 @@ def write_seconds(rows: list[Row]) -> tuple[float, float]:
 
 def message_bytes(plan: Plan, row: Row) -> tuple[int, int]:
     """Return the bytes that a point sends to a worker, and those that come back."""
-    key, point = next(iter(plan.unique().items()))
-    return len(ForkingPickler.dumps(Job(key, point, 1, SOLVER_VERSION, provenance.commit()))), len(row.to_json())
+    points = [*plan.unique().items()][:_BATCH]
+    jobs = [Job(key, point, 1, SOLVER_VERSION, provenance.commit()) for key, point in points]
+    return len(ForkingPickler.dumps(Batch(jobs))) // len(jobs), len(row.to_json())
 
 
 def hours(n_points: int, workers: int, point: float, overhead: float, parent: float) -> float:

@@ -148,7 +148,7 @@ def run_plan(plan: Plan, name: str, jobs: int, *, rerun_failed: bool = False) ->
         if plan.config.parallel.backend != "dask":
             compile_for((point.method, point.params) for point in todo.values())
         with console.progress(len(todo), name) as advance:
-            return sweep.run(plan, store, jobs=jobs, rerun_failed=rerun_failed, on_row=advance)
+            return sweep.run(plan, store, jobs=jobs, rerun_failed=rerun_failed, on_end=advance)
 
 
 def require_workers(jobs: int) -> None:

@@ -31,7 +31,7 @@ from fracbench.harness.check.tolerances import MEASURED
 from fracbench.harness.config.paths import asset
 from fracbench.harness.run import sweep
 from fracbench.harness.run.pool import LocalPool
-from fracbench.harness.run.store import STORE, Store
+from fracbench.harness.run.store import STORE, Store, decode, encode
 from fracbench.methods.registry import METHODS
 
 COMMANDS = ("sweep", "table", "figure", "experiment", "run", "estimate", "check", "data", "warmup", "methods")
@@ -239,12 +239,13 @@ def test_a_point_that_fails_gives_exit_code_3_and_a_hint(cli, work, tiny, monkey
     class Unlucky(LocalPool):
         def compute(self, jobs):
             for key, row in super().compute(jobs):
-                if row.spec["params"]["boundary"] == "reflect":
-                    row = replace(row, status="failed", error="made to fail", result={})
+                found = decode(row)
+                if found.spec["params"]["boundary"] == "reflect":
+                    found = replace(found, status="failed", error="made to fail", result={})
                     with self._store._transaction():  # a failed row does not take the place of a finished one
                         self._store._db.execute("DELETE FROM points WHERE key = ?", [key])
-                    self._store.put(row)
-                yield key, row
+                    self._store.put(found)
+                yield key, encode(found)
 
     with monkeypatch.context() as patched:
         patched.setattr(sweep, "_pool", lambda plan, jobs, store: Unlucky(jobs, store))
@@ -664,7 +665,7 @@ def test_a_sweep_compiles_before_its_workers_start(work, monkeypatch):
 
     order: list[Any] = []
     monkeypatch.setattr(run, "compile_for", lambda settings: order.append([name for name, _ in settings]))
-    monkeypatch.setattr(run.sweep, "run", lambda *_, **__: order.append("workers") or sweep.Report())
+    monkeypatch.setattr(run.sweep, "run", lambda *_, **__: order.append("workers") or sweep.Report(Path()))
     plan = run.make_plan(["method=tvl1,tvl1_sb", "sequence=synthetic_flat"])
     run.run_plan(plan, "test", 2)
     assert order == [["tvl1", "tvl1_sb"], "workers"]

@@ -114,7 +114,7 @@ def recompute(plan: Plan, jobs: int, on_row: Callable[[Row], None] | None = None
         tempfile.TemporaryDirectory(prefix="fracbench-check-") as folder,
         Store(Path(folder) / "store.sqlite") as store,
     ):
-        return sweep.run(plan, store, jobs=jobs, on_row=on_row).rows
+        return dict(sweep.run(plan, store, jobs=jobs, on_row=on_row).rows)
 
 
 def reference_table(plan: Plan, rows: Mapping[str, Row]) -> pd.DataFrame:

@@ -102,7 +102,11 @@ class Point:
     @cached_property
     def key(self) -> str:
         """SHA-256 of the canonical form, the data and the solver's version: the key in the store."""
-        return _sha256({"spec": self.spec, "data": self.data_digest, "solver_version": SOLVER_VERSION})
+        return _sha256(self.hashed(self.spec))
+
+    def hashed(self, spec: Mapping[str, Any]) -> dict[str, Any]:
+        """Return what the key is the hash of, for the canonical form of this point or of one of the same data."""
+        return {"spec": spec, "data": self.data_digest, "solver_version": SOLVER_VERSION}
 
 
 def canonical_value(value: Any) -> str:

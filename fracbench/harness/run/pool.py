@@ -22,12 +22,12 @@ from typing import Any, Protocol, TextIO, TypeVar
 from fracbench.errors import FracbenchError
 from fracbench.harness.run import provenance
 from fracbench.harness.run.point import Job
-from fracbench.harness.run.store import Row, Store
+from fracbench.harness.run.store import Store, Values, encode
 
 T = TypeVar("T")
 
-#: The keys of jobs that ended, and their rows: None if a worker died.
-Ended = Generator[tuple[str, Row | None], None, None]
+#: The keys of jobs that ended, and their encoded rows: None if a worker died.
+Ended = Generator[tuple[str, Values | None], None, None]
 
 #: So many times in a row the workers may die before they begin with a point.
 MAX_FALSE_STARTS = 2
@@ -42,12 +42,14 @@ class Pool(Protocol):
 
     #: Whether a job whose worker has died may have died with another's, and has to be computed alone next.
     retry_alone: bool
+    #: The number of jobs that are claimed at once.
+    ahead: int
 
     def compute(self, jobs: Iterable[Job]) -> Ended:
         """Compute jobs, taken as workers become free, maybe in another thread; yield their keys and rows.
 
         A row is in the store; it is None if the worker died. When the workers of all jobs die at once, the jobs
-        that had not begun are left out.
+        that had not begun are left out. `jobs` may tell by ``__length_hint__`` how many they are.
         """
         ...
 
@@ -60,6 +62,7 @@ class LocalPool:
     """Processes of joblib on this machine, which stay for the next pool and put their rows into the store."""
 
     retry_alone = True
+    ahead = 1
 
     def __init__(self, jobs: int, store: Store) -> None:
         self._jobs, self._store, self._path = jobs, store, store.path.resolve()
@@ -85,11 +88,11 @@ class LocalPool:
         ahead = 1 if self._jobs == 1 else 2 * self._jobs
         try:
             with closing(_unordered(calls(), max(self._jobs, 2), ahead)) as rows:
-                for row in rows:
-                    del given[row.key]
-                    self._mark(row.key).unlink()
+                for key, row in rows:
+                    del given[key]
+                    self._mark(key).unlink()
                     self._false_starts = 0
-                    yield row.key, row
+                    yield key, row
         except BrokenProcessPool:
             yield from self._died([*given.values()])
         if failures:
@@ -106,7 +109,7 @@ class LocalPool:
             mark.unlink()
             if over_time:
                 self._store.put(job.expired(provenance.machine()))
-            yield job.key, self._store.get(job.key) if over_time else None
+            yield job.key, self._store.get_encoded([job.key]).get(job.key) if over_time else None
 
     def _mark(self, key: str) -> Path:
         return Path(self._marks.name) / key
@@ -148,7 +151,7 @@ def _parallel(jobs: int, **options: Any) -> Any:
         return Parallel(jobs, batch_size=1, max_nbytes=None, **options)
 
 
-def _unordered(calls: Iterator[Any], jobs: int, ahead: int) -> Generator[Row, None, None]:
+def _unordered(calls: Iterator[Any], jobs: int, ahead: int) -> Ended:
     pool = _parallel(jobs, pre_dispatch=ahead, return_as="generator_unordered")
     with _ctrl_c_ignored():
         rows = pool(calls)
@@ -177,8 +180,8 @@ def _ctrl_c_ignored() -> Iterator[None]:
 # -- in a worker -------------------------------------------------------------------------------------------------
 
 
-def _compute(job: Job, store: Path, marks: str, parent: int) -> Row:
-    """Compute a job, store its row and return it."""
+def _compute(job: Job, store: Path, marks: str, parent: int) -> tuple[str, Values]:
+    """Compute a job, store its row and return its key and the row."""
     from fracbench.harness.run import compute_point
 
     mark = Path(marks) / job.key
@@ -191,10 +194,11 @@ def _compute(job: Job, store: Path, marks: str, parent: int) -> Row:
         if os.getppid() != parent:
             os._exit(1)  # a sweep that was started since may be computing this point
         with Store(store) as opened:
-            opened.put(row)
+            values = encode(row)
+            opened.put_many([values])
     except OSError as exc:
         raise FracbenchError(f"{exc.filename}: {exc.strerror}; free some space or make it writable") from exc
-    return row
+    return job.key, values
 
 
 def _prepare(parent: int) -> None:

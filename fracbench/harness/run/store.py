@@ -1,7 +1,7 @@
 """The store: one SQLite file with one row per point that was run, whether it ended well or not.
 
-A row is committed in a transaction of its own as soon as its point is finished, so whatever stops a sweep
-loses only the points that were under way. `fracbench.harness.run.sqlite` knows the file.
+A row is committed as soon as its point is finished, so whatever stops a sweep loses only the points that were
+under way. `fracbench.harness.run.sqlite` knows the file.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
+from itertools import dropwhile, islice
 from pathlib import Path
 from typing import Any, Self
 
@@ -32,6 +33,7 @@ _KINDS: Mapping[str, tuple[type, ...]] = {
     **dict.fromkeys(_JSON_COLUMNS, (dict,)),
     "error": (str, type(None)),
 }
+_KEYS_PER_BLOCK = 2000
 _KEYS_PER_QUERY = 500  # below the number of parameters that any SQLite accepts
 
 
@@ -81,6 +83,9 @@ class Row:
             raise ValueError(f"not a row: {exc}") from exc
 
 
+#: A row as the store's columns hold it: the texts of JSON are not read.
+Values = tuple[Any, ...]
+
 _COLUMNS = tuple(f.name for f in fields(Row))
 _SELECT = f"SELECT {', '.join(_COLUMNS)} FROM points"
 _UPSERT = (
@@ -125,12 +130,44 @@ class Store:
     def get_many(self, keys: Iterable[str]) -> dict[str, Row]:
         """Return the rows there are for these keys, by key."""
         wanted = list(dict.fromkeys(keys))
-        found: dict[str, Row] = {}
-        for first in range(0, len(wanted), _KEYS_PER_QUERY):
-            chunk = wanted[first : first + _KEYS_PER_QUERY]
+        found = self.get_encoded(wanted)
+        return {key: self._decoded(found[key]) for key in wanted if key in found}
+
+    def get_encoded(self, keys: Iterable[str]) -> dict[str, Values]:
+        """Return the rows there are for these keys, by key, as the columns hold them."""
+        found: dict[str, Values] = {}
+        for chunk in _chunks(keys):
             marks = ", ".join("?" for _ in chunk)
-            found.update((row.key, row) for row in self._select(f"WHERE key IN ({marks})", chunk))
-        return {key: found[key] for key in wanted if key in found}
+            with self._translated():
+                rows = self._db.execute(f"{_SELECT} WHERE key IN ({marks})", chunk).fetchall()
+            found.update((row[0], row) for row in rows)
+        return found
+
+    def statuses(self, keys: Iterable[str]) -> dict[str, str]:
+        """Return the status of the row of each key that has one."""
+        found: dict[str, str] = {}
+        if self.is_empty():
+            return found
+        with self._translated():
+            for chunk in _chunks(keys):
+                marks = ", ".join("?" for _ in chunk)
+                found.update(self._db.execute(f"SELECT key, status FROM points WHERE key IN ({marks})", chunk))
+        return found
+
+    def is_empty(self) -> bool:
+        """Tell whether there is no row."""
+        with self._translated():
+            return self._db.execute("SELECT 1 FROM points LIMIT 1").fetchone() is None
+
+    def keys(self) -> Iterator[str]:
+        """Yield the keys of all rows, in no order."""
+        with self._translated():
+            yield from (key for (key,) in self._db.execute("SELECT key FROM points"))
+
+    def identities(self) -> set[str]:
+        """Return the identities of all rows."""
+        with self._translated():
+            return {identity for (identity,) in self._db.execute("SELECT DISTINCT identity FROM points")}
 
     def by_identity(self, identity: str) -> list[Row]:
         """Return every row of a point, oldest first: under other keys, why it has to be run again."""
@@ -150,15 +187,28 @@ class Store:
 
     def put(self, row: Row) -> bool:
         """Write a row in place of one with its key; False if it failed and there is a ``done`` one already."""
-        values = _encode(row)
+        values = encode(row)
         with self._transaction():
             return self._db.execute(_UPSERT, values).rowcount == 1
+
+    def put_many(self, rows: Sequence[Values]) -> None:
+        """Write encoded rows in one transaction, each as `put` does; StoreError: a value is of a wrong type."""
+        try:
+            for values in rows:
+                _check_kinds(values, _ENCODED_KINDS)
+        except ValueError as exc:
+            raise StoreError(f"store {self.path}: not a row: {exc}") from exc
+        with self._transaction():
+            self._db.executemany(_UPSERT, rows)
 
     def _select(self, condition: str, parameters: Sequence[str]) -> list[Row]:
         with self._translated():
             found = self._db.execute(f"{_SELECT} {condition}", parameters).fetchall()
+        return [self._decoded(values) for values in found]
+
+    def _decoded(self, values: Values) -> Row:
         try:
-            return [_decode(values) for values in found]
+            return decode(values)
         except ValueError as exc:
             raise StoreError(f"store {self.path}: {DAMAGED} ({exc})") from exc
 
@@ -177,9 +227,46 @@ class Store:
             raise StoreError(f"store {self.path}: {explain(exc)}") from exc
 
 
+class StoredRows(Mapping[str, Row]):
+    """Rows of a store by key, read in blocks when they are asked for, in any thread and after the store is closed.
+
+    `statuses` are those of all points, in order; None: there is no row.
+    """
+
+    def __init__(self, path: Path, statuses: Mapping[str, str | None]) -> None:
+        self._path, self._statuses = path, statuses
+        self._block: dict[str, Row] = {}
+        self._after = iter(statuses)
+
+    def __len__(self) -> int:
+        return sum(status is not None for status in self._statuses.values())
+
+    def __iter__(self) -> Iterator[str]:
+        return (key for key, status in self._statuses.items() if status is not None)
+
+    def __getitem__(self, key: str) -> Row:
+        if self._statuses.get(key) is None:
+            raise KeyError(key)
+        if key not in self._block:
+            # Rows are asked for in the order of the points: the next ones come with this one.
+            following = [key, *islice(self._after, _KEYS_PER_BLOCK)]
+            if key not in following[1:]:
+                self._after = iter(self._statuses)
+                following = [key, *islice(dropwhile(lambda other: other != key, self._after), _KEYS_PER_BLOCK)]
+            with Store(self._path, readonly=True) as store:
+                self._block = store.get_many(name for name in following if self._statuses[name] is not None)
+        return self._block[key]
+
+
 def canonical_json(value: object) -> str:
     """Return the one JSON text of a value, fit to be hashed: sorted keys, no spaces, ASCII, finite numbers."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def _chunks(keys: Iterable[str]) -> Iterator[list[str]]:
+    left = iter(keys)
+    while chunk := list(islice(left, _KEYS_PER_QUERY)):
+        yield chunk
 
 
 def _known_status(status: str) -> str:
@@ -188,7 +275,8 @@ def _known_status(status: str) -> str:
     return status
 
 
-def _encode(row: Row) -> tuple[object, ...]:
+def encode(row: Row) -> Values:
+    """Return a row as the store's columns hold it."""
     # Lone surrogates (a file name that is not UTF-8) have no place in a TEXT column.
     error = None if row.error is None else row.error.encode("utf-8", "backslashreplace").decode()
     values = {name: _finite(getattr(row, name)) for name in _COLUMNS} | {"error": error}
@@ -197,16 +285,31 @@ def _encode(row: Row) -> tuple[object, ...]:
     return tuple(values[name] for name in _COLUMNS)
 
 
-def _decode(values: Sequence[Any]) -> Row:
+def decode(values: Sequence[Any]) -> Row:
+    """Return the row that `encode` wrote; ValueError if it is none."""
     row = dict(zip(_COLUMNS, values, strict=True))
     try:
         row |= {name: json.loads(row[name]) for name in _JSON_COLUMNS}
     except (TypeError, RecursionError) as exc:  # no text; lists in lists without end
         raise ValueError(f"not JSON: {exc}") from exc
-    for name, kinds in _KINDS.items():
-        if not isinstance(row[name], kinds):
-            raise ValueError(f"{name} is of type {type(row[name]).__name__}")
+    _check_kinds(tuple(row.values()), _DECODED_KINDS)
     return Row(**row)
+
+
+def status_of(values: Values) -> str:
+    """Return the status of an encoded row."""
+    return str(values[_STATUS])
+
+
+_DECODED_KINDS = tuple(_KINDS[name] for name in _COLUMNS)
+_ENCODED_KINDS = tuple((str,) if name in _JSON_COLUMNS else _KINDS[name] for name in _COLUMNS)
+_STATUS = _COLUMNS.index("status")
+
+
+def _check_kinds(values: Sequence[Any], kinds: Sequence[tuple[type, ...]]) -> None:
+    for name, value, kind in zip(_COLUMNS, values, kinds, strict=True):
+        if not isinstance(value, kind):
+            raise ValueError(f"{name} is of type {type(value).__name__}")
 
 
 def _finite(value: Any) -> Any:

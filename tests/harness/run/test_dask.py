@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import pickle
 import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,10 +20,11 @@ pytest.importorskip("distributed", reason="needs the extra `dask`")
 
 from fracbench.data.files import write_image
 from fracbench.errors import DataError, FracbenchError, InputError
-from fracbench.harness.run import compute_point, dask, sweep
+from fracbench.harness.run import batches, compute_point, dask, sweep
 from fracbench.harness.run.plan import make_plan
-from fracbench.harness.run.point import Job, Point
-from fracbench.harness.run.store import Row, Store
+from fracbench.harness.run.point import Job, Outcome, Point
+from fracbench.harness.run.store import Row, Store, encode
+from fracbench.harness.run.tidy import tidy
 from fracbench.model import SOLVER_VERSION
 from fracbench.model.params import FlowParams
 
@@ -81,13 +84,20 @@ def values(row):
 
 
 def replace_compute(monkeypatch, instead):
-    """Let workers call ``instead(compute)``; functions reach them by value, with what is enclosed here."""
-    real = dask._compute
+    """Let workers call ``instead(job, compute)`` for each point; it reaches them by value."""
+    real_batch = batches.run_batch
 
-    def compute(job, files, topic):
-        return instead(job, lambda: real(job, files, topic))
+    def run_batch(*args):
+        from fracbench.harness.run import batches
 
-    monkeypatch.setattr(dask, "_compute", compute)
+        real = batches.compute
+        batches.compute = lambda job, mail: instead(job, lambda: real(job, mail))
+        try:
+            return real_batch(*args)
+        finally:
+            batches.compute = real
+
+    monkeypatch.setattr(dask, "run_batch", run_batch)
 
 
 def test_a_worker_killed_in_mid_sweep_costs_one_retry_and_changes_no_bit(running, store, monkeypatch, tmp_path):
@@ -127,6 +137,60 @@ def test_a_worker_killed_in_mid_sweep_costs_one_retry_and_changes_no_bit(running
         assert values(here) == values(report.rows[key])
 
 
+def test_a_worker_killed_in_mid_batch_loses_nothing_and_the_table_is_that_of_one_machine(
+    running, store, monkeypatch, tmp_path
+):
+    log = tmp_path / "log"
+    log.touch()
+
+    def instead(job, compute):
+        import os
+        import time
+
+        with log.open("a") as file:
+            file.write(f"{job.key} {os.getpid()}\n")
+        time.sleep(0.1)
+        compute()
+
+    replace_compute(monkeypatch, instead)
+    tokens = ("alpha=0.05:2:0.05", "lambda=0.3,0.5", "max_iter=1")
+    made = plan(*tokens, address=running.address)
+    batches_of, killed, finished = [], [], set()
+
+    class Watched(dask.DaskPool):
+        def _give_up(self, name):
+            batches_of.extend([*batch.jobs] for batch in self._workers[name].batches)
+            return super()._give_up(name)
+
+    def on_row(row):
+        finished.add(row.key)
+        under_way = {name: worker.batches[0].jobs for name, worker in pool._workers.items() if worker.batches}
+        name = next((name for name, jobs in under_way.items() if len(jobs) > 4), None)
+        if not killed and len(finished) >= 20 and name:
+            killed.append({*finished})
+            pid = pool._client.run(os.getpid)[name]
+            running.workers.remove(pid)
+            os.kill(pid, signal.SIGKILL)
+
+    pool = Watched(running.address, store)
+    with monkeypatch.context() as patched:
+        patched.setattr(sweep, "_pool", lambda plan, jobs, store: pool)
+        report = sweep.run(made, store, jobs=1, on_row=on_row)
+    assert (report.computed, report.failed, len(killed)) == (80, [], 1)
+    attempts = {key: row.attempts for key, row in report.rows.items()}
+    begun = next(keys for keys in batches_of if keys)
+    assert len(begun) > 1, "no batch was hit in the middle"
+    assert {key for key, count in attempts.items() if count == 2} == set(begun)
+    assert set(attempts.values()) == {1, 2}
+    starts = Counter(line.split()[0] for line in log.read_text().splitlines())
+    assert {starts[key] for key in killed[0]} == {1}, "a finished point was computed again"
+
+    with Store(tmp_path / "here.sqlite") as other:
+        here = make_plan([*tokens, *SMALL], allow_download=False)
+        rows = sweep.run(here, other, jobs=2).rows
+        assert tidy(made, report.rows).to_csv() == tidy(here, rows).to_csv()
+
+
 @pytest.mark.parametrize("row", [None, "the row"])
 def test_what_a_worker_returned_as_it_died_is_not_waited_for(row):
     class Lost:
@@ -135,11 +199,13 @@ def test_what_a_worker_returned_as_it_died_is_not_waited_for(row):
         def result(self, timeout):
             raise TimeoutError
 
-    pool, lost = object.__new__(dask.DaskPool), Lost()
-    pool._busy = {"worker": (a_job(key="k"), lost)}
-    pool._rows = {} if row is None else {"k": row}
-    assert pool._end("worker", lost) == [("k", row)]
-    assert pool._busy == {}
+    pool, job = a_pool(), a_job(key="k", timeout=1.0)
+    (batch,) = sent(pool, [job])
+    batch.future.__class__ = Lost
+    ended = [] if row is None else pool._read(0.1, [encode(job.expired({}))])
+    ended += pool._end(batch, batch.future)
+    assert [(key, found is not None) for key, found in ended] == [("k", row is not None)]
+    assert not pool._out and not pool._workers["worker"].batches
 
 
 def test_what_a_worker_finished_outlives_it(running, store, monkeypatch, tmp_path):
@@ -271,6 +337,158 @@ def test_a_scheduler_that_goes_ends_the_sweep_in_one_line(running, store):
 # -- without a cluster -----------------------------------------------------------------------------
 
 
+class Future:
+    status = "pending"
+    cancelled = False
+
+    def add_done_callback(self, call):
+        self.call = call
+
+    def end(self, status="finished"):
+        self.status = status
+        self.call(self)
+
+    def result(self, timeout):
+        return True
+
+    def cancel(self):
+        self.cancelled = True
+
+
+class Client:
+    """A client whose cluster does nothing by itself."""
+
+    status = "running"
+
+    def __init__(self, names):
+        self.names, self.receive = list(names), None
+
+    def subscribe_topic(self, topic, receive):
+        self.receive = receive
+
+    def nthreads(self):
+        return dict.fromkeys(self.names, 1)
+
+    def submit(self, *_, **__):
+        return Future()
+
+
+def a_pool(*names):
+    """A pool that has looked, with workers of these names; one called ``worker`` if there are none."""
+    pool = dask.DaskPool(None, None, Client(names or ["worker"]))
+    pool._look()
+    return pool
+
+
+def sent(pool, jobs):
+    """Send what the pool has room for, and return the batches by worker in their order."""
+    pool._fill(dask._Source(jobs, pool._again))
+    return [batch for worker in pool._workers.values() for batch in worker.batches]
+
+
+def jobs_of(n, **changes):
+    """Jobs of points of 1/8 s, by the pace of `paced`."""
+    made = make_plan([*SMALL, f"alpha={','.join(str(i / 1000) for i in range(n))}"], allow_download=False)
+    return [
+        replace(a_job(**changes), key=planned.point.key, point=replace(planned.point, shape=(128, 128)))
+        for planned in made.points
+    ]
+
+
+def paced(*names):
+    pool = a_pool(*names)
+    pool._pace.learn([job.point for job in jobs_of(1)], 0.125)
+    return pool
+
+
+def sizes(found):
+    return [len(batch.jobs) for batch in found]
+
+
+def test_a_batch_is_a_second_of_work_and_those_behind_it_five_at_most():
+    pool = paced("a")
+    first, second = sent(pool, jobs_of(400))
+    assert sizes([first, second]) == [8, 40]
+    assert not pool._idle and not pool._busy
+    assert sizes(sent(paced("a", "b"), jobs_of(6))) == [3, 3]  # nobody waits while another has a queue
+
+
+def test_points_of_unknown_time_go_alone():
+    assert sizes(sent(a_pool("a"), jobs_of(5))) == [1]
+
+
+def test_points_that_are_tried_again_go_alone():
+    first, second = sent(paced("a"), jobs_of(4, attempt=2))
+    assert sizes([first, second]) == [1, 1]
+
+
+def test_no_point_waits_behind_a_single_one_that_takes_long():
+    pool = a_pool("a")
+    jobs = jobs_of(5)
+    pool._pace.learn([jobs[0].point], 60.0)
+    assert sizes(sent(pool, jobs)) == [1]
+
+
+def test_the_unfinished_points_of_a_dead_workers_batch_count_an_attempt_and_those_behind_do_not():
+    pool = paced("a")
+    jobs = jobs_of(400)
+    first, second = sent(pool, jobs)
+    done = [encode(job.row(an_outcome())) for job in jobs[:4]]
+    assert pool._read(0.4, done) == [(row[0], row) for row in done]
+    assert pool._give_up("a") == [(job.key, None) for job in jobs[4:8]]
+    assert list(pool._again) == jobs[8:48]
+    assert first.future.cancelled and second.future.cancelled
+    assert not pool._out
+    assert pool._read(0.4, done) == []  # what comes twice is stored once
+
+
+def test_a_time_limit_costs_no_other_point_of_the_batch():
+    pool = paced("a")
+    jobs = jobs_of(400)
+    sent(pool, jobs)
+    rows = [encode(jobs[0].row(an_outcome())), encode(replace(jobs[1], timeout=1.0).expired({}))]
+    assert len(pool._read(0.4, rows)) == 2
+    assert pool._give_up("a") == []
+    assert list(pool._again) == jobs[2:48]
+
+
+def test_a_batch_that_was_through_does_not_shield_the_next_one():
+    pool = paced("a")
+    jobs = jobs_of(400)
+    sent(pool, jobs)
+    pool._read(1.0, [encode(job.row(an_outcome())) for job in jobs[:8]])
+    assert pool._give_up("a") == [(job.key, None) for job in jobs[8:48]]
+
+
+def test_files_of_one_pair_go_with_a_batch(monkeypatch):
+    jobs = jobs_of(400)
+    for job in jobs[3:]:
+        object.__setattr__(job.point, "data_digest", "another")
+    assert sizes(sent(paced("a"), jobs)) == [8, 40]  # rendered pairs have none
+    monkeypatch.setattr(dask, "contents_of", lambda point: lambda name, folder: {})
+    assert sizes(sent(paced("a"), jobs)) == [3, 40]
+
+
+def test_what_is_packed_comes_back():
+    jobs = [*jobs_of(3, timeout=2.0, folder=Path("data")), a_job(), *jobs_of(5)[3:]]
+    jobs[1] = replace(jobs[1], attempt=2)
+    batch = pickle.loads(pickle.dumps(batches.Batch(jobs)))
+    assert list(batch.jobs()) == jobs
+    assert [job.point.spec for job in batch.jobs()] == [job.point.spec for job in jobs]
+    one, two = (len(pickle.dumps(batches.Batch(jobs_of(n)))) for n in (1, 2))
+    assert two - one < 200  # of the second, what differs
+
+
+def test_a_worker_that_makes_other_keys_is_refused():
+    first, second = jobs_of(2)
+    with pytest.raises(InputError, match="install the same fracbench"):
+        list(batches.Batch([first, replace(second, key="f" * 64)]).jobs())
+
+
+def an_outcome():
+    return Outcome("done", None, {"aae": 0.5}, 0.1, None, {})
+
+
 def a_job(**changes):
     point = Point("tvl1", FlowParams(), "middlebury", "Grove2", None, 0, "digest")
     return Job(
@@ -280,22 +498,22 @@ def a_job(**changes):
 
 def test_data_that_are_not_what_they_should_be_are_refused():
     with pytest.raises(DataError, match=r"Grove2/frame10\.png"):
-        dask._unpack(a_job(), {"frame10.png": b"x", "frame11.png": b"y", "flow10.flo": b"z"})
+        batches.load_files(a_job(), {"frame10.png": b"x", "frame11.png": b"y", "flow10.flo": b"z"})
 
 
 @pytest.mark.parametrize("file", ["../a.png", "a/../../b.png", "/a.png"])
 def test_no_file_that_is_sent_leads_out_of_the_workers_folder(file):
     with pytest.raises(InputError, match=r"dataset middlebury: the file .* leads out of its folder"):
-        dask._unpack(a_job(), {file: b"x"})
+        batches.load_files(a_job(), {file: b"x"})
 
 
 def test_a_worker_without_the_data_asks_for_them():
-    assert dask._compute(a_job(), {}, "topic") is False
+    assert batches.run_batch(batches.Batch([a_job()]), {}, "topic", 0.0) is False
 
 
 def test_a_worker_with_another_solver_is_refused():
     with pytest.raises(InputError, match="install the same fracbench"):
-        dask._compute(a_job(solver_version=SOLVER_VERSION + 1), {}, "topic")
+        batches.run_batch(batches.Batch([a_job(solver_version=SOLVER_VERSION + 1)]), {}, "topic", 0.0)
 
 
 @pytest.mark.parametrize(

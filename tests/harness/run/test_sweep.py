@@ -20,7 +20,7 @@ from fracbench.harness.run import pool as workers
 from fracbench.harness.run import sweep
 from fracbench.harness.run.plan import make_plan
 from fracbench.harness.run.point import Job
-from fracbench.harness.run.store import Store
+from fracbench.harness.run.store import Store, encode
 
 FLAT = ("sequence=synthetic_flat", "n_scales=1", "n_warps=1", "max_iter=2")
 
@@ -352,7 +352,7 @@ def test_what_was_finished_as_the_time_ended_is_kept(store, fake_rows):
     job = Job(row.key, plan("alpha=0").points[0].point, 1, 2, {}, timeout=1.0)
     with closing(workers.LocalPool(1, store)) as pool:
         (Path(pool._marks.name) / row.key).write_text("Timeout")
-        assert list(pool._died([job])) == [(row.key, row)]
+        assert list(pool._died([job])) == [(row.key, encode(row))]
         assert list(Path(pool._marks.name).iterdir()) == []
 
 
@@ -517,7 +517,7 @@ def test_workers_end_with_their_parent(tmp_path):
     while _alive(worker) and time.monotonic() < deadline:
         time.sleep(0.05)
     assert not _alive(worker)
-    assert [path.name for path in (tmp_path / "store.sqlite-spool").iterdir()] == ["claims"]
+    assert all(path.name.startswith("claims-") for path in (tmp_path / "store.sqlite-spool").iterdir())
 
 
 ORPHANS = """
