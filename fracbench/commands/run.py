@@ -13,9 +13,13 @@ from fracbench.errors import InputError
 from fracbench.harness.config.experiment import Experiment
 from fracbench.harness.config.grid import parse_overrides
 from fracbench.harness.run import sweep
-from fracbench.harness.run.plan import Plan, PlannedPoint, make_plan, plan_artefact
+from fracbench.harness.run.grid_points import PlannedPoint
+from fracbench.harness.run.plan import Plan, make_plan, plan_artefact
 from fracbench.harness.run.point import Point
 from fracbench.harness.run.store import RUNS, STORE, Row, Store
+
+#: Stored rows that the time of a sweep is estimated by.
+_SAMPLE = 10_000
 
 
 def run_experiment(
@@ -144,11 +148,11 @@ def run_plan(plan: Plan, name: str, jobs: int, *, rerun_failed: bool = False) ->
     results = plan.config.results
     ensure_folder(results / STORE.parent)
     with Store(results / STORE) as store:
-        _, todo = sweep.missing(plan, store, rerun_failed=rerun_failed)
+        compared = _, todo = sweep.missing(plan, store, rerun_failed=rerun_failed)
         if plan.config.parallel.backend != "dask":
             compile_for((point.method, point.params) for point in todo.values())
         with console.progress(len(todo), name) as advance:
-            return sweep.run(plan, store, jobs=jobs, rerun_failed=rerun_failed, on_end=advance)
+            return sweep.run(plan, store, jobs=jobs, on_end=advance, compared=compared)
 
 
 def require_workers(jobs: int) -> None:
@@ -162,11 +166,12 @@ def say_cost(plan: Plan, jobs: int, *, rerun_failed: bool = False) -> None:
     from fracbench.harness.run.cost import expected_seconds
 
     with Store(plan.config.results / STORE, readonly=True) as store:
-        report, todo = sweep.missing(plan, store, rerun_failed=rerun_failed)
-        seconds, measured = expected_seconds(todo.values(), store.rows("done"), jobs)
+        total, todo = sweep.count_missing(plan, store, rerun_failed=rerun_failed)
+        seconds, measured = expected_seconds(todo, store.sample("done", _SAMPLE), jobs)
+    n_missing = sum(count for _, count in todo)
     basis = "from stored points of the same methods" if measured else "rough: nothing like it is stored yet"
     console.say(
-        f"{len(plan.unique())} points, {report.reused} stored, {len(todo)} to compute on {jobs} processes: "
+        f"{total} points, {total - n_missing} stored, {n_missing} to compute on {jobs} processes: "
         f"about {seconds / 60:.1f} minutes ({basis})"
     )
     _say_settings(plan)
@@ -182,13 +187,12 @@ def _say_computed(report: sweep.Report) -> None:
 
 def _say_settings(plan: Plan) -> None:
     config = plan.config
-    shared = {planned.labels["protocol"] for planned in plan.points}
-    boundaries = {planned.point.canonical.get("boundary") for planned in plan.points} - {None}
+    shared, boundaries = plan.labels("protocol"), plan.values("boundary")
     settings = [f"dataset {plan.dataset}"]
     if shared:
         settings.append(f"protocol {', '.join(sorted(shared))}")
     if boundaries:
-        settings.append(f"boundary {', '.join(sorted(map(str, boundaries)))}")
+        settings.append(f"boundary {', '.join(sorted(boundaries))}")
     if config.region is not None:
         settings.append(f"context {config.context} px")
     if plan.points:

@@ -182,6 +182,11 @@ class Method:
         except Exception as exc:  # of its own __post_init__
             raise InputError(f"{place}: {' '.join(str(exc).split()) or type(exc).__name__}") from exc
 
+    def accepted(self, changes: Mapping[str, str]) -> dict[str, Any]:
+        """Return values of `FlowParams` by field, converted and checked as `replace` does."""
+        self._check_limits(changes)
+        return dict(FlowParams.accepted(name, value) for name, value in changes.items())
+
     def _check_limits(self, values: Mapping[str, Any]) -> None:
         by_name = {public_name(name): value for name, value in values.items()}
         for name, (high, reason) in self.limits.items():

@@ -202,6 +202,12 @@ class FlowParams:
         """Return the meaning and the range of a parameter, by either of its spellings."""
         return typing.cast(ParamInfo, cls.__dataclass_fields__[_field_name(name)].metadata["info"])
 
+    @classmethod
+    def accepted(cls, name: str, value: Any) -> tuple[str, Any]:
+        """Return the field of a parameter and a value in its type; `InputError`: the value is out of its range."""
+        field = _field_name(name)
+        return field, _accepted(field, value)
+
     def replace(self, changes: Mapping[str, Any], where: str = "") -> Self:
         """Return a copy with some values changed.
 

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from fracbench.harness.config.experiment import Experiment
-from fracbench.harness.run.plan import Plan, PlannedPoint, make_plan
+from fracbench.harness.run.grid_points import PlannedPoint
+from fracbench.harness.run.plan import Plan, make_plan
 from fracbench.harness.run.point import Point
 from fracbench.harness.run.store import Row
 from fracbench.studies import tables

@@ -338,7 +338,7 @@ OVERRIDES = [
     ("paths.output=x", "unknown key 'paths.output'"),
     ("alpha=0:2:0", "'alpha=0:2:0': the step is 0"),
     ("alpha=2:0:0.1", "counts up but stop is below start; use 2:0:-0.1 or 0:2:0.1"),
-    ("alpha=0:2:1e-9", "'alpha=0:2:1e-9': asks for 2000000001 points, more than the 100000 allowed"),
+    ("alpha=0:2:1e-9", "'alpha=0:2:1e-9': asks for 2000000001 points, more than the 1000000 allowed"),
     ("alpha=0:2", "write a range as a:b:step"),
     ("alpha=abc", "`alpha` must be a number, got 'abc'"),
     ("alpha=2.5", "`alpha` must be in [0, 2], got 2.5"),

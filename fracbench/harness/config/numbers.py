@@ -12,7 +12,7 @@ from itertools import pairwise
 
 from fracbench.errors import InputError, unknown_name
 
-MAX_POINTS = 100_000
+MAX_POINTS = 1_000_000
 """The size of the largest grid: a larger one is taken for a slip of the step."""
 
 _MAX_DIGITS = 400

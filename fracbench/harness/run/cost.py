@@ -16,19 +16,24 @@ ROUGH_SECONDS_PER_PIXEL = 1e-5
 _MEMORY = 0.8
 
 
-def expected_seconds(points: Iterable[Point], rows: Iterable[Row], jobs: int) -> tuple[float, bool]:
-    """Estimate the seconds to compute points by stored rows; tell whether these hold every method's speed."""
+def expected_seconds(points: Iterable[tuple[Point, int]], rows: Iterable[Row], jobs: int) -> tuple[float, bool]:
+    """Estimate the seconds to compute points by stored rows; tell whether these hold every method's speed.
+
+    Each point comes with the number of those that cost the same.
+    """
     speeds: dict[str, list[float]] = {}
     for row in rows:
         if row.status == "done" and row.seconds:
             speeds.setdefault(_kind(row.spec), []).append(row.seconds / _pixels_of_row(row))
-    seconds, measured = [], True
-    for point in points:
-        known = speeds.get(_kind(point.spec))
-        measured = measured and bool(known)
-        seconds.append(pixels(point) * (median(known) if known else ROUGH_SECONDS_PER_PIXEL))
+    medians = {kind: median(known) for kind, known in speeds.items()}
+    total, longest, measured = 0.0, 0.0, True
+    for point, count in points:
+        known = medians.get(_kind_of(point))
+        measured = measured and known is not None
+        seconds = pixels(point) * (ROUGH_SECONDS_PER_PIXEL if known is None else known)
+        total, longest = total + count * seconds, max(longest, seconds)
     # No number of processes makes the longest point shorter.
-    return max(sum(seconds) / jobs, max(seconds, default=0.0)), measured
+    return max(total / jobs, longest), measured
 
 
 def _kind(spec: Mapping[str, Any]) -> str:

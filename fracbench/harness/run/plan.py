@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pkgutil
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from pathlib import Path
@@ -38,6 +38,8 @@ from fracbench.harness.config.experiment import Experiment
 from fracbench.harness.config.grid import Axis, Grid, expand_names, parse_overrides
 from fracbench.harness.config.numbers import MAX_POINTS, canonical_number
 from fracbench.harness.config.records import require_name
+from fracbench.harness.run.grid_points import Axis as PointAxis
+from fracbench.harness.run.grid_points import GridPoints, PlannedPoint, UniquePoints
 from fracbench.harness.run.point import Point, Scene, canonical_value
 from fracbench.methods.method import Method
 from fracbench.model.params import FlowParams
@@ -55,14 +57,6 @@ _FOR_ALL = ("dataset", "paths.data", "paths.results", "parallel", *PARALLEL)
 
 
 @dataclass(frozen=True)
-class PlannedPoint:
-    """A point and the names it goes by in tables: protocol and region are labels, not part of the key."""
-
-    point: Point
-    labels: Mapping[str, str]
-
-
-@dataclass(frozen=True)
 class Plan:
     """Points in the order of the grid, and the settings that they share.
 
@@ -71,7 +65,7 @@ class Plan:
     sequences, `small` whether the grid was thinned.
     """
 
-    points: tuple[PlannedPoint, ...]
+    points: Sequence[PlannedPoint]
     varying: tuple[str, ...]
     dataset: str
     folder: Path | None
@@ -87,9 +81,32 @@ class Plan:
         data = f"__{self.dataset}" if self.foreign else "_synthetic" if self.stand_in else ""
         return f"{data}_small" if self.small else data
 
-    def unique(self) -> dict[str, Point]:
+    def unique(self) -> Mapping[str, Point]:
         """Return the distinct points by key, in order."""
-        return {planned.point.key: planned.point for planned in self.points}
+        if not isinstance(self.points, GridPoints):
+            return {planned.point.key: planned.point for planned in self.points}
+        indices: dict[str, int] = {}
+        for index, key in enumerate(self.points.keys()):
+            indices.setdefault(key, index)
+        return UniquePoints(self.points, indices)
+
+    def groups(self) -> Iterator[tuple[Point, int, Iterable[str]]]:
+        """Yield a point for all that cost the same, how many distinct points these are, and their keys."""
+        if isinstance(self.points, GridPoints):
+            yield from self.points.groups()
+        else:
+            yield from ((point, 1, (key,)) for key, point in self.unique().items())
+
+    def labels(self, name: str) -> set[str]:
+        """Return the distinct values of a label."""
+        points = self.points.frames if isinstance(self.points, GridPoints) else self.points
+        return {planned.labels[name] for planned in points}
+
+    def values(self, name: str) -> set[str]:
+        """Return the distinct canonical values of a parameter, of the points that depend on it."""
+        if isinstance(self.points, GridPoints):
+            return self.points.values(name)
+        return {planned.point.canonical[name] for planned in self.points if name in planned.point.canonical}
 
 
 def make_plan(tokens: Sequence[str], *, allow_download: bool = True, small: bool = False) -> Plan:
@@ -101,7 +118,7 @@ def make_plan(tokens: Sequence[str], *, allow_download: bool = True, small: bool
         grid = grid.thinned()
     if grid.size > MAX_POINTS:
         raise InputError(f"{' '.join(tokens)}: {grid.size} points are more than the limit of {MAX_POINTS}")
-    configs, idle = _configure(grid, pairs)
+    configs, idle, axes = _configure(grid, pairs)
     refuse_links_out(configs[0].results)
     wanting = next((config for config in configs if config.sequence.dataset == "middlebury"), None)
     resolved = _resolve_data(wanting or configs[0], allow_download)
@@ -112,12 +129,12 @@ def make_plan(tokens: Sequence[str], *, allow_download: bool = True, small: bool
         shape = shape_of(exact, dataset, resolved.folder)
         return shape, digest_of(exact, dataset, resolved.folder, noise=noise, seed=seed, **dict(scene))
 
-    points = [_planned(config, resolved.dataset, look) for config in configs]
+    frames = [_planned(config, resolved.dataset, look) for config in configs]
     notices = [resolved.notice] if resolved.notice else []
     notices += idle
     stand_in = wanting is not None and resolved.dataset == "synthetic"
     return Plan(
-        points=tuple(points),
+        points=GridPoints(frames, axes),
         varying=grid.varying,
         dataset=resolved.dataset,
         folder=resolved.folder,
@@ -163,12 +180,15 @@ def plan_experiment(
             absent[part] = exc
     if not plans:
         raise next(iter(absent.values()))
-    points = tuple(
-        replace(planned, labels={"part": part, **planned.labels})
-        for part, plan in plans.items()
-        for planned in plan.points
-    )
     first = next(iter(plans.values()))
+    if len(plans) == 1 and isinstance(first.points, GridPoints):
+        points: Sequence[PlannedPoint] = first.points.labelled({"part": next(iter(plans))})
+    else:
+        points = tuple(
+            replace(planned, labels={"part": part, **planned.labels})
+            for part, plan in plans.items()
+            for planned in plan.points
+        )
     real = next((plan for plan in plans.values() if plan.dataset == "middlebury"), None)
     real = real or next((plan for plan in plans.values() if plan.folder is not None), first)
     varying = tuple(dict.fromkeys(key for plan in plans.values() for key in plan.varying))
@@ -297,7 +317,32 @@ def _check_keys(grid: Grid, methods: Iterable[Method]) -> None:
             raise InputError(f"{key!r} takes one value, which holds for all points")
 
 
-def _configure(grid: Grid, pairs: _Pairs | None) -> tuple[list[RunConfig], list[str]]:
+def _configure(grid: Grid, pairs: _Pairs | None) -> tuple[list[RunConfig], list[str], list[PointAxis]]:
+    """Return a configuration for each choice of the axes that are bound, notices, and the axes.
+
+    Axes of parameters alone are free, if all methods have `FlowParams`, whose values do not depend on each other.
+    """
+    free = [not set(axis.keys).intersection((*GROUPS, *SETTINGS)) for axis in grid.axes]
+    ends = zip(grid.axes, free, strict=True)
+    thin = Grid(tuple(Axis(axis.keys, axis.values[:1]) if is_free else axis for axis, is_free in ends))
+    configs, notices = _configured(thin, pairs)
+    methods = {config.method.name: config.method for config in configs}
+    names = {key.removeprefix("params.") for axis in grid.axes for key in axis.keys}
+    if not all(
+        method.params is FlowParams and method.uses - method.younger.keys() - names for method in methods.values()
+    ):
+        free = [False] * len(free)
+        configs, notices = _configured(grid, pairs)
+    axes = []
+    for axis, is_free in zip(grid.axes, free, strict=True):
+        keys = [key.removeprefix("params.") for key in axis.keys]
+        rows = [dict(zip(keys, row, strict=True)) for row in axis.values] if is_free else []
+        changes = {name: [method.accepted(row) for row in rows] for name, method in methods.items()}
+        axes.append(PointAxis(len(axis.values), changes if is_free else None))
+    return configs, notices, axes
+
+
+def _configured(grid: Grid, pairs: _Pairs | None) -> tuple[list[RunConfig], list[str]]:
     """Return the configuration of each point, and notices of parameters that change nothing."""
     state, parts = own_files(), []
     for values in grid.points():

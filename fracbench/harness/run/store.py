@@ -159,10 +159,24 @@ class Store:
         with self._translated():
             return self._db.execute("SELECT 1 FROM points LIMIT 1").fetchone() is None
 
-    def keys(self) -> Iterator[str]:
-        """Yield the keys of all rows, in no order."""
+    def size(self) -> int:
+        """Return the number of rows."""
         with self._translated():
-            yield from (key for (key,) in self._db.execute("SELECT key FROM points"))
+            return int(self._db.execute("SELECT count(*) FROM points").fetchone()[0])
+
+    def keys(self, status: str | None = None) -> Iterator[str]:
+        """Yield the keys of all rows, or of those of one status, in no order."""
+        condition = "" if status is None else "WHERE status = ?"
+        given = [] if status is None else [_known_status(status)]
+        with self._translated():
+            yield from (key for (key,) in self._db.execute(f"SELECT key FROM points {condition}", given))
+
+    def sample(self, status: str, count: int) -> list[Row]:
+        """Return about as many rows of a status, evenly from the first to the last; all, if there are fewer."""
+        step = -(-self.size() // count)
+        return self._select(
+            f"WHERE status = ? AND rowid % {step or 1} = 0 ORDER BY rowid", [_known_status(status)]
+        )
 
     def identities(self) -> set[str]:
         """Return the identities of all rows."""

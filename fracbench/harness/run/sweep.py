@@ -15,6 +15,7 @@ from typing import Any, BinaryIO, Self
 from fracbench.errors import InputError
 from fracbench.harness.run import provenance
 from fracbench.harness.run.cost import pixels
+from fracbench.harness.run.grid_points import UniquePoints
 from fracbench.harness.run.plan import Plan
 from fracbench.harness.run.point import MEASURES, Job, Outcome, Point
 from fracbench.harness.run.pool import LocalPool, Pool
@@ -65,23 +66,41 @@ class Report:
         return [rows[key] for key, status in self.statuses.items() if status not in (None, "done")]
 
 
-def missing(plan: Plan, store: Store, *, rerun_failed: bool = False) -> tuple[Report, dict[str, Point]]:
+def missing(plan: Plan, store: Store, *, rerun_failed: bool = False) -> tuple[Report, Mapping[str, Point]]:
     """Compare a plan with the store: return its rows and reasons, and the points to compute, in order."""
     if not store.readonly:
         _take_loose_rows(store)
     points = plan.unique()
     stored = store.statuses(points)
-    report, todo = Report(store.path, dict.fromkeys(points)), {}
+    report, todo = Report(store.path, dict.fromkeys(points)), []
     identities = store.identities()
-    for key, point in points.items():
+    for key in points:
         status = stored.get(key)
         if status is not None and (status == "done" or not rerun_failed):
             report.statuses[key] = status
             report.reused += 1
         else:
-            todo[key] = point
-            report.reasons[_reason(status, point, store, identities)] += 1
-    return report, todo
+            todo.append(key)
+            report.reasons[_reason(status, key, points, store, identities)] += 1
+    if isinstance(points, UniquePoints):
+        return report, points.only(todo)
+    return report, {key: points[key] for key in todo}
+
+
+def count_missing(plan: Plan, store: Store, *, rerun_failed: bool = False) -> tuple[int, list[tuple[Point, int]]]:
+    """Return the number of distinct points, and those to compute: one for all alike, with their number."""
+    if len(plan.points) < store.size():
+        stored = {
+            key for key, status in store.statuses(plan.unique()).items() if status == "done" or not rerun_failed
+        }
+    else:
+        stored = set(store.keys("done" if rerun_failed else None))
+    total, todo = 0, []
+    for point, count, keys in plan.groups():
+        total += count
+        # Without stored points no key is made.
+        todo.append((point, count - len(stored.intersection(keys)) if stored else count))
+    return total, [(point, count) for point, count in todo if count]
 
 
 def _take_loose_rows(store: Store) -> None:
@@ -92,12 +111,15 @@ def _take_loose_rows(store: Store) -> None:
         path.unlink(missing_ok=True)
 
 
-def _reason(status: str | None, point: Point, store: Store, identities: set[str]) -> str:
+def _reason(status: str | None, key: str, points: Mapping[str, Point], store: Store, identities: set[str]) -> str:
     if status is not None:
         return f"{status} before"
-    if not identities or point.identity not in identities:
+    if not identities:
         return "new"
-    latest = store.by_identity(point.identity)[-1]
+    identity = points.identity(key) if isinstance(points, UniquePoints) else points[key].identity
+    if identity not in identities:
+        return "new"
+    point, latest = points[key], store.by_identity(identity)[-1]
     if latest.solver_version != SOLVER_VERSION:
         return f"solver version {latest.solver_version} -> {SOLVER_VERSION}"
     if latest.spec.get("version", "") != point.version:
@@ -113,14 +135,15 @@ def run(
     rerun_failed: bool = False,
     on_row: OnRow | None = None,
     on_end: Callable[[], object] | None = None,
+    compared: tuple[Report, Mapping[str, Point]] | None = None,
 ) -> Report:
     """Compute the points that the store lacks; each row is stored as soon as its point is done.
 
     The plan's configuration says where it runs and how long a point may take; `jobs` are processes on this
     machine. `on_row` is called with each new row, `on_end` once for each: to read a row takes longer than to store
-    it.
+    it. `compared` is what `missing` returned, if it was asked before.
     """
-    report, todo = missing(plan, store, rerun_failed=rerun_failed)
+    report, todo = compared or missing(plan, store, rerun_failed=rerun_failed)
     if not todo:
         return report
     with (
@@ -171,10 +194,7 @@ class _Sweep:
         self._todo, self._store, self._claims, self._pool = todo, store, claims, pool
         self._folder = None if plan.folder is None else plan.folder.resolve()
         self._timeout, self._commit = plan.config.parallel.timeout, provenance.commit()
-        # The longest go first, so that no worker is left with one of them in the end, and the points of a pair
-        # together, so that each worker reads or renders it once.
-        pairs = {point.data_digest: i for i, point in enumerate(todo.values())}
-        self._waiting = deque(sorted(todo, key=lambda key: (*_turn(todo[key]), pairs[todo[key].data_digest])))
+        self._waiting = deque(_in_turn(todo))
         self._retries: deque[str] = deque()
         self._attempts = Counter[str]()
         self._under_way: set[str] = set()
@@ -271,6 +291,24 @@ class _Jobs:
 
     def __length_hint__(self) -> int:
         return len(self._keys)
+
+
+def _in_turn(todo: Mapping[str, Point]) -> list[str]:
+    """Return the keys of points: the longest first, so that no worker is left with one of them in the end.
+
+    The points of a pair come together, so that each worker reads or renders it once.
+    """
+    if isinstance(todo, UniquePoints):
+        points = [planned.point for planned in todo.grid.frames]
+        numbers = [todo.frame_of(key) for key in todo]
+    else:
+        points, numbers = list(todo.values()), list(range(len(todo)))
+    pairs = {point.data_digest: i for i, point in enumerate(points)}
+    turns = [(*_turn(point), pairs[point.data_digest]) for point in points]
+    place = {turn: i for i, turn in enumerate(sorted(set(turns)))}
+    places = [place[turns[number]] for number in numbers]
+    keys = list(todo)
+    return [keys[i] for i in sorted(range(len(keys)), key=places.__getitem__)]
 
 
 def _turn(point: Point) -> tuple[bool, int]:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 from fracbench.data.files import ensure_folder, write_text
 from fracbench.errors import InputError
 from fracbench.harness.config.experiment import Experiment
-from fracbench.harness.run.plan import Plan, PlannedPoint
+from fracbench.harness.run.grid_points import PlannedPoint
+from fracbench.harness.run.plan import Plan
 from fracbench.harness.run.store import Row
 from fracbench.harness.run.tidy import tidy
 from fracbench.studies import tables

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from fracbench.data.files import ensure_folder, write_text
 from fracbench.harness.config.experiment import Experiment
-from fracbench.harness.run.plan import Plan, PlannedPoint, make_plan
+from fracbench.harness.run.grid_points import PlannedPoint
+from fracbench.harness.run.plan import Plan, make_plan
 from fracbench.harness.run.store import RUNS, Row
 from fracbench.model.params import FlowParams
 from fracbench.studies import tables

@@ -14,7 +14,8 @@ from fracbench.data.files import ensure_folder, write_text
 from fracbench.data.regions import Region
 from fracbench.errors import InputError
 from fracbench.harness.config.experiment import Experiment, load_experiment
-from fracbench.harness.run.plan import Plan, PlannedPoint
+from fracbench.harness.run.grid_points import PlannedPoint
+from fracbench.harness.run.plan import Plan
 from fracbench.harness.run.point import NO_DATA, Point
 from fracbench.harness.run.store import Row
 from fracbench.harness.run.tidy import tidy

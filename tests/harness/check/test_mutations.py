@@ -20,7 +20,8 @@ from fracbench.evaluation import metrics
 from fracbench.harness.check import regression
 from fracbench.harness.check.regression import Verdict, check
 from fracbench.harness.run import compute_point
-from fracbench.harness.run.plan import Plan, PlannedPoint
+from fracbench.harness.run.grid_points import PlannedPoint
+from fracbench.harness.run.plan import Plan
 from fracbench.harness.run.point import Point
 from fracbench.harness.run.store import Row
 from fracbench.model import SOLVER_VERSION

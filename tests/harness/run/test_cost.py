@@ -5,12 +5,17 @@ from dataclasses import replace
 import pytest
 
 from fracbench.data.regions import Region
-from fracbench.harness.run.cost import ROUGH_SECONDS_PER_PIXEL, expected_seconds
+from fracbench.harness.run.cost import ROUGH_SECONDS_PER_PIXEL
+from fracbench.harness.run.cost import expected_seconds as expected_of_many
 from fracbench.harness.run.point import Point
 from fracbench.harness.run.store import Row
 from fracbench.model.params import FlowParams
 
 SCENE = 128 * 160
+
+
+def expected_seconds(points, rows, jobs):
+    return expected_of_many([(point, 1) for point in points], rows, jobs)
 
 
 def a_point(method="tvl1", dataset="synthetic", sequence="edge", box=None, context=0):
