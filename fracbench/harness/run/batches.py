@@ -38,23 +38,31 @@ _one_at_a_time = threading.Lock()
 
 
 class Batch:
-    """Jobs on their way to a worker: where points differ in parameters only, just these are sent."""
+    """Jobs on their way to a worker: where points differ in parameters only, just these are sent.
 
-    def __init__(self, jobs: Iterable[Job]) -> None:
+    `whole` is a job of a batch before, of which a canonical form need not be made again.
+    """
+
+    def __init__(self, jobs: Iterable[Job], whole: Job | None = None) -> None:
         # A job, or the key, the attempt and the parameters in which a point differs from that of the job before.
         self._entries: list[Any] = []
-        whole: Job | None = None
+        self._first = self.whole = whole
         for job in jobs:
-            changes = None if whole is None else _changes(job.point, whole.point)
+            changes = None if self.whole is None else _changes(job.point, self.whole.point)
             if changes is None:
-                whole = job
+                self.whole = job
                 self._entries.append(job)
             else:
                 self._entries.append((job.key, job.attempt, changes))
 
+    @property
+    def keys(self) -> list[str]:
+        """The keys of the jobs."""
+        return [entry.key if isinstance(entry, Job) else entry[0] for entry in self._entries]
+
     def jobs(self) -> Iterator[Job]:
         """Yield the jobs, made one by one. InputError: this fracbench makes other keys."""
-        whole: Any = None
+        whole: Any = self._first
         for entry in self._entries:
             if isinstance(entry, Job):
                 whole = entry

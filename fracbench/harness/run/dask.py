@@ -81,6 +81,7 @@ class DaskPool:
         self._out: dict[str, _Batch] = {}  # by the keys of jobs that have not ended
         self._again: deque[Job] = deque()  # not begun when their worker died
         self._pace = Pace()
+        self._whole: Job | None = None  # the last that was sent with all its parameters
         self._next_look = 0.0
 
     def compute(self, jobs: Iterable[Job]) -> Ended:
@@ -173,10 +174,12 @@ class DaskPool:
         digest = jobs[0].point.data_digest
         files = {} if digest in worker.holds else _files(jobs[0])
         worker.holds.add(digest)
+        packed = Batch(jobs, self._whole)
+        self._whole = packed.whole
         pause = len(self._workers) / BLOCKS_PER_SECOND
         future = self._client.submit(
             run_batch,
-            Batch(jobs),
+            packed,
             files,
             self._topic,
             pause,

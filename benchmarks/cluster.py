@@ -1,0 +1,292 @@
+"""Measure what a sweep on a Dask cluster costs this process a point, and how busy it keeps the workers.
+
+The workers of a simulated cluster, which is one process, sleep and answer with made-up rows: their number and the
+seconds of a point are free. Dask has no part in it. The real cluster has two worker processes on this machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import heapq
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import common
+
+from fracbench.commands.bench import results_stem, write_results
+from fracbench.commands.parser import Parser
+from fracbench.errors import FracbenchError
+from fracbench.harness.run import sweep
+from fracbench.harness.run.batches import Batch
+from fracbench.harness.run.dask import DaskPool
+from fracbench.harness.run.plan import Plan, make_plan
+from fracbench.harness.run.point import Outcome
+from fracbench.harness.run.pool import Pool
+from fracbench.harness.run.provenance import peak_mib
+from fracbench.harness.run.store import Store, Values, encode
+
+_ROWS, _ENDED = 0, 1
+_SMALL = ("sequence=synthetic_flat", "n_scales=1", "n_warps=1", "max_iter=1")
+_CLUSTER = """
+import sys
+from distributed import LocalCluster
+
+if __name__ == "__main__":
+    with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
+        print(cluster.scheduler_address, flush=True)
+        sys.stdin.readline()
+"""
+
+
+@dataclass(eq=False)
+class _Batch:
+    number: int
+    keys: list[str]
+    pause: float
+    due: float = 0.0  #: when its next block is sent
+    begun: float = 0.0
+    sent: int = 0  #: rows
+
+
+@dataclass
+class _Worker:
+    batches: deque[_Batch] = field(default_factory=deque)
+
+
+class SimulatedWorkers:
+    """Workers that take the same seconds for each point, and send blocks of rows as real ones do."""
+
+    def __init__(self, connection: Connection, seconds: float) -> None:
+        self._connection, self._seconds = connection, seconds
+        self._workers: dict[str, _Worker] = {}
+        self._due: list[tuple[float, int, _Worker]] = []
+        self._row: Values = ()
+        self._computed, self._first, self._last = 0, 0.0, 0.0
+
+    def run(self) -> None:
+        """Answer until the parent asks for the sums: points computed, and seconds from first to last."""
+        while True:
+            wait = max(0.0, self._due[0][0] - time.monotonic()) if self._due else None
+            while self._connection.poll(wait):
+                message = self._connection.recv()
+                if message is None:
+                    self._connection.send((self._computed, self._last - self._first))
+                    return
+                self._take(*message)
+                wait = 0.0
+            self._send_due()
+
+    def _take(self, name: str, number: int, batch: Batch, pause: float) -> None:
+        if not self._row:  # of a real point, with a result of the usual size
+            job = next(batch.jobs())
+            result = {"aae": 0.1, "aepe": 0.2, "sdae": 0.1, "n_pixels": 9216, "phases": {"solving": 0.1}}
+            self._row = encode(job.row(Outcome("done", None, result, self._seconds, 100.0, {"host": "nowhere"})))
+            self._first = time.monotonic()
+        worker = self._workers.setdefault(name, _Worker())
+        worker.batches.append(_Batch(number, batch.keys, pause))
+        if len(worker.batches) == 1:
+            self._begin(worker, time.monotonic())
+
+    def _begin(self, worker: _Worker, now: float) -> None:
+        batch = worker.batches[0]
+        batch.begun = now
+        self._plan(worker, now)
+
+    def _plan(self, worker: _Worker, now: float) -> None:
+        batch = worker.batches[0]
+        end = batch.begun + len(batch.keys) * self._seconds
+        batch.due = min(end, max(now + batch.pause, batch.begun + (batch.sent + 1) * self._seconds))
+        heapq.heappush(self._due, (batch.due, batch.number, worker))
+
+    def _send_due(self) -> None:
+        while self._due and self._due[0][0] <= time.monotonic():
+            due, _, worker = heapq.heappop(self._due)
+            batch = worker.batches[0]
+            done = min(len(batch.keys), round((due - batch.begun) / self._seconds))
+            rows = [(key, key[::-1], *self._row[2:]) for key in batch.keys[batch.sent : done]]
+            if rows:
+                self._connection.send((_ROWS, [len(rows) * self._seconds, rows]))
+                self._computed += len(rows)
+                batch.sent, self._last = done, due
+            if batch.sent < len(batch.keys):
+                self._plan(worker, due)
+                continue
+            self._connection.send((_ENDED, batch.number))
+            worker.batches.popleft()
+            if worker.batches:
+                self._begin(worker, due)  # it was there, so that the worker did not wait
+
+
+class SimulatedFuture:
+    """The end of a batch; see `distributed.Future`."""
+
+    status = "pending"
+
+    def add_done_callback(self, call: Callable[[Any], None]) -> None:
+        """Keep a function to be called with the future."""
+        self._call = call
+
+    def end(self) -> None:
+        """Call it."""
+        self.status = "finished"
+        self._call(self)
+
+    def result(self, timeout: float) -> bool:
+        """Return that the data were there."""
+        return True
+
+    def release(self) -> None:
+        """Do nothing: there is no result."""
+
+
+class SimulatedClient:
+    """The client of simulated workers, as far as `DaskPool` needs it; see `distributed.Client`."""
+
+    status = "running"
+
+    def __init__(self, workers: int, seconds: float) -> None:
+        context = get_context("spawn")
+        self._connection, theirs = context.Pipe()
+        self._process = context.Process(target=_simulate, args=(theirs, seconds), daemon=True)
+        self._process.start()
+        theirs.close()
+        self._names = {f"worker-{i}": 1 for i in range(workers)}
+        self._futures: dict[int, SimulatedFuture] = {}
+        self._receive: Callable[[tuple[float, Any]], None] = print
+        self._sums = (0, 0.0)
+        self._thread = threading.Thread(target=self._listen, daemon=True)
+        self._thread.start()
+
+    def subscribe_topic(self, topic: str, handler: Callable[[tuple[float, Any]], None]) -> None:
+        """Keep the function that is called with each block."""
+        self._receive = handler
+
+    def nthreads(self) -> dict[str, int]:
+        """Return the workers."""
+        return self._names
+
+    def submit(self, function: object, batch: Batch, files: object, topic: str, pause: float, **how: Any) -> Any:
+        """Send a batch to a worker."""
+        (name,), number = how["workers"], len(self._futures)
+        future = self._futures[number] = SimulatedFuture()
+        self._connection.send((name, number, batch, pause))
+        return future
+
+    def _listen(self) -> None:
+        while True:
+            message = self._connection.recv()
+            if message[0] == _ROWS and isinstance(message[1], list):
+                self._receive((0.0, message[1]))
+            elif message[0] == _ENDED and message[1] in self._futures:
+                self._futures[message[1]].end()
+            else:
+                self._sums = message
+                return
+
+    def close(self, timeout: float = 0.0) -> None:
+        """End the workers."""
+        self._connection.send(None)
+        self._thread.join(60)
+        self._process.join(60)
+
+    def busy(self, workers: int, seconds: float) -> float:
+        """Return the share of the time from the first batch to the last row in which the workers computed."""
+        computed, wall = self._sums
+        return computed * seconds / (workers * wall)
+
+
+def _simulate(connection: Connection, seconds: float) -> None:
+    SimulatedWorkers(connection, seconds).run()
+
+
+def grid_of(points: int) -> list[str]:
+    """Return the overrides of a grid of about so many points."""
+    side = max(2, round((points / 10) ** 0.5))
+    return [
+        *_SMALL,
+        f"alpha={','.join(f'{2 * i / side:.5g}' for i in range(side))}",
+        f"lambda={','.join(f'{0.1 + i / side:.5g}' for i in range(side))}",
+        "theta=0.1:1:0.1",
+    ]
+
+
+def lap(plan: Plan, workers: int, open_pool: Callable[[Store], Pool]) -> dict[str, Any]:
+    """Run a plan into an empty store, and return this process's share and the seconds."""
+    with (
+        tempfile.TemporaryDirectory(prefix="fracbench-", dir=Path.cwd()) as folder,
+        Store(Path(folder) / "store.sqlite") as store,
+    ):
+        pool = open_pool(store)
+        started, used = time.perf_counter(), time.process_time()
+        report = sweep.run(plan, store, jobs=1, pool=pool)
+        seconds, used = time.perf_counter() - started, time.process_time() - used
+    if report.computed != len(plan.unique()):
+        raise FracbenchError(f"{report.computed} points were computed, not {len(plan.unique())}")
+    return {
+        "workers": workers,
+        "points": report.computed,
+        "seconds": seconds,
+        "parent_ms": 1e3 * used / report.computed,
+        "peak_mib": peak_mib(),
+    }
+
+
+def simulated(points: int, workers: int, seconds: float) -> dict[str, Any]:
+    """Run a sweep on a simulated cluster."""
+    plan = make_plan(grid_of(points), allow_download=False)
+    client = SimulatedClient(workers, seconds)
+    record = lap(plan, workers, lambda store: DaskPool(None, store, client))
+    return {"cluster": "simulated", "point_s": seconds, **record, "busy": client.busy(workers, seconds)}
+
+
+def real(points: int) -> dict[str, Any]:
+    """Run a sweep of small points on two real workers, after a warm-up."""
+    pipe = subprocess.PIPE
+    with subprocess.Popen([sys.executable, "-c", _CLUSTER], stdin=pipe, stdout=pipe, text=True) as cluster:
+        try:
+            assert cluster.stdout is not None
+            address = cluster.stdout.readline().strip()
+            settings = ("parallel=dask", f"parallel.address={address}")
+            for tokens in ([*_SMALL, "alpha=1,1.5", "lambda=0.5,0.6"], grid_of(points)):
+                plan = make_plan([*tokens, *settings], allow_download=False)
+                record = lap(plan, 2, lambda store: DaskPool(address, store))
+        finally:
+            cluster.kill()
+    seconds = 2 * record["seconds"] / record["points"]
+    return {"cluster": "real", "point_s": seconds, **record, "busy": None}
+
+
+def measure(arguments: argparse.Namespace) -> None:
+    """Measure, print and write the table."""
+    stem = results_stem(arguments.overrides, "cluster")
+    records = [simulated(arguments.points, arguments.workers, arguments.seconds)]
+    if arguments.real:
+        records.append(real(arguments.real))
+    write_results(records, stem, "Sweeps on a cluster", "busy: share of the workers' time; one run")
+
+
+def main(argv: list[str]) -> int:
+    """Run the benchmark and return its exit code."""
+    parser = Parser(description=__doc__)
+    parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="such as paths.results=FOLDER")
+    parser.add_argument("--workers", type=int, default=1000, metavar="N", help="simulated workers (default: 1000)")
+    parser.add_argument(
+        "--points", type=int, default=100_000, metavar="N", help="about so many (default: 100,000)"
+    )
+    parser.add_argument("--seconds", type=float, default=0.1, metavar="S", help="of a point (default: 0.1)")
+    parser.add_argument("--real", type=int, default=4000, metavar="N", help="points on two real workers; 0: none")
+    return common.run(measure, parser, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
