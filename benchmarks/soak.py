@@ -157,7 +157,7 @@ class Soak:
         return path.read_bytes()
 
     def check(self) -> tuple[int, int, int]:
-        """Return the numbers of rows, of points that were computed again, and of rows from before the beginning."""
+        """Return the numbers of rows, of points that were computed again, and of rows dated too early."""
         ended: set[str] = set()
         again = 0
         for line in self.log.read_text().splitlines():

@@ -165,11 +165,11 @@ def test_a_worker_killed_in_mid_batch_loses_nothing_and_the_table_is_that_of_one
     def on_row(row):
         finished.add(row.key)
         under_way = {name: worker.batches[0].jobs for name, worker in pool._workers.items() if worker.batches}
-        name = next((name for name, jobs in under_way.items() if len(jobs) > 4), None)
+        name = next((name for name, jobs in under_way.items() if len(jobs) > 2), None)
         if not killed and len(finished) >= 20 and name:
             killed.append({*finished})
             pid = pool._client.run(os.getpid)[name]
-            running.workers.remove(pid)
+            running.workers = [other for other in running.workers if other != pid]
             os.kill(pid, signal.SIGKILL)
 
     pool = Watched(running.address, store)
