@@ -251,8 +251,9 @@ def simulated(points: int, workers: int, seconds: float) -> dict[str, Any]:
 
 def real(points: int) -> dict[str, Any]:
     """Run a sweep of small points on two real workers, after a warm-up."""
-    pipe = subprocess.PIPE
-    with subprocess.Popen([sys.executable, "-c", _CLUSTER], stdin=pipe, stdout=pipe, text=True) as cluster:
+    pipe, null = subprocess.PIPE, subprocess.DEVNULL
+    words = [sys.executable, "-c", _CLUSTER]
+    with subprocess.Popen(words, stdin=pipe, stdout=pipe, stderr=null, text=True) as cluster:
         try:
             assert cluster.stdout is not None
             address = cluster.stdout.readline().strip()
@@ -261,7 +262,7 @@ def real(points: int) -> dict[str, Any]:
                 plan = make_plan([*tokens, *settings], allow_download=False)
                 record = lap(plan, 2, lambda store: DaskPool(address, store))
         finally:
-            cluster.kill()
+            cluster.communicate("\n")
     seconds = 2 * record["seconds"] / record["points"]
     return {"cluster": "real", "point_s": seconds, **record, "busy": None}
 

@@ -29,8 +29,8 @@ _log = logging.getLogger(__name__)
 
 #: The seconds of work of a batch: for a worker that has none, and at most.
 LEAST_SECONDS, MOST_SECONDS = 1.0, 5.0
-#: Blocks of rows that the cluster as a whole sends in a second.
-BLOCKS_PER_SECOND = 1000.0
+#: The seconds that a row waits for others: the cluster as a whole sends 1,000 blocks a second at most.
+LEAST_PAUSE, PAUSE_PER_WORKER = 0.1, 0.001
 
 _CONNECT_SECONDS = 10
 _GATHER_SECONDS = 5.0
@@ -176,7 +176,7 @@ class DaskPool:
         worker.holds.add(digest)
         packed = Batch(jobs, self._whole)
         self._whole = packed.whole
-        pause = len(self._workers) / BLOCKS_PER_SECOND
+        pause = max(LEAST_PAUSE, PAUSE_PER_WORKER * len(self._workers))
         future = self._client.submit(
             run_batch,
             packed,
