@@ -1,6 +1,6 @@
 """Measure the cost of a sweep beyond its points, and extrapolate it to 100,000 points.
 
-40 points are computed on one worker process and on two; with the address of a Dask scheduler, on its workers too.
+40 points are computed on one worker process and on two; with the address of a Dask scheduler, 400 on its workers.
 """
 
 from __future__ import annotations
@@ -23,10 +23,11 @@ from fracbench.harness.run import provenance, sweep
 from fracbench.harness.run.batches import Batch
 from fracbench.harness.run.plan import Plan, make_plan
 from fracbench.harness.run.point import Job
-from fracbench.harness.run.store import Row, Store
+from fracbench.harness.run.store import Row, Store, encode
 from fracbench.model import SOLVER_VERSION
 
 GRID = ("sequence=synthetic_edge", "alpha=0.05:2:0.05")
+LARGER_GRID = (*GRID, "lambda=0.1:1:0.1")
 _WARM = ("sequence=synthetic_edge", "alpha=2.0", "lambda=0.5,0.6", "max_iter=1")
 N_POINTS = 100_000
 _BATCH = 20
@@ -51,16 +52,16 @@ def run(plan: Plan, jobs: int) -> Lap:
     return Lap(wall, parent / len(rows), mean(row.seconds or 0.0 for row in rows), rows)
 
 
-def write_seconds(rows: list[Row]) -> tuple[float, float]:
-    """Return the seconds that storing one row takes, and the bytes of the row."""
+def write_seconds(rows: list[Row], block: int = 1) -> tuple[float, float]:
+    """Return the seconds that storing one row takes, in blocks of so many, and the bytes of the row."""
     with tempfile.TemporaryDirectory(prefix="fracbench-", dir=Path.cwd()) as folder:
         path = Path(folder) / "store.sqlite"
         Store(path).close()
         before = path.stat().st_size
         with Store(path) as store:
             started = time.perf_counter()
-            for row in rows:
-                store.put(row)
+            for first in range(0, len(rows), block):
+                store.put_many([encode(row) for row in rows[first : first + block]])
             seconds = time.perf_counter() - started
         # Rows lie in the journal until the store is closed.
         return seconds / len(rows), (path.stat().st_size - before) / len(rows)
@@ -97,10 +98,10 @@ def measure(arguments: argparse.Namespace) -> None:
     if arguments.address is not None:
         settings = ("parallel=dask", f"parallel.address={arguments.address}")
         run(make_plan([*_WARM, *settings]), 1)
-        lap = run(make_plan([*GRID, *settings]), 1)
+        lap = run(make_plan([*LARGER_GRID, *settings]), 1)
         _say(f"workers of {arguments.address}", lap, None)
         parent = lap.parent
-    seconds, size = write_seconds(laps[1].rows)
+    seconds, size = write_seconds(laps[1].rows, 1 if arguments.address is None else _BATCH)
     there, back = message_bytes(plan, laps[1].rows[0])
     console.say(f"store: {1 / seconds:.0f} rows a second, {size:.0f} bytes a row")
     console.say(f"messages: {there} bytes to a worker, {back} bytes back")

@@ -17,7 +17,7 @@ import pytest
 from fracbench.errors import FracbenchError, InputError
 from fracbench.harness.run import sqlite
 from fracbench.harness.run.sqlite import APPLICATION_ID, SCHEMA_VERSION, STATUSES, transaction
-from fracbench.harness.run.store import Row, Store, StoreError, canonical_json
+from fracbench.harness.run.store import Row, Store, StoredRows, StoreError, canonical_json, encode
 
 NOBODY = 65534
 
@@ -466,3 +466,61 @@ def test_a_store_is_read_as_its_rights_allow(tmp_path, monkeypatch, writable, mo
     rights = {path: "file" in writable, tmp_path: "folder" in writable}
     monkeypatch.setattr(sqlite.os, "access", lambda place, _: rights[place])
     assert sqlite._reading_mode(path) == mode
+
+
+# --- blocks of rows -----------------------------------------------------------------------------------
+
+
+def test_a_block_of_rows_is_stored_whole_or_not_at_all(store: Store, path: Path) -> None:
+    rows = [a_row("a"), a_failure("b"), a_row("c")]
+    store.put_many([encode(row) for row in rows])
+    assert store.rows() == rows
+    broken = (*encode(a_row("e"))[:4], "no status", *encode(a_row("e"))[5:])
+    with pytest.raises(StoreError):
+        store.put_many([encode(a_row("d")), broken])
+    assert store.rows() == rows
+
+
+@pytest.mark.parametrize(
+    ("column", "value"), [(0, 1), (2, {}), (3, "2"), (4, None), (6, 5), (7, "1 s"), (10, None)]
+)
+def test_a_block_with_a_value_of_a_wrong_type_is_refused(store: Store, column: int, value: object) -> None:
+    values = encode(a_row("b"))
+    with pytest.raises(StoreError, match="not a row"):
+        store.put_many([encode(a_row("a")), (*values[:column], value, *values[column + 1 :])])
+    with pytest.raises(StoreError, match="not a row"):
+        store.put_many([values[:-1]])
+    assert store.is_empty()
+
+
+def test_a_failed_row_of_a_block_does_not_take_the_place_of_a_finished_one(store: Store) -> None:
+    store.put(a_row("a"))
+    store.put_many([encode(a_failure("a")), encode(a_failure("b"))])
+    assert store.statuses(["a", "b", "c"]) == {"a": "done", "b": "crashed"}
+
+
+def test_rows_are_read_when_they_are_asked_for(path: Path, monkeypatch) -> None:
+    monkeypatch.setattr("fracbench.harness.run.store._KEYS_PER_BLOCK", 3)
+    keys = [f"{i:02d}" for i in range(20)]
+    with Store(path) as store:
+        store.put_many([encode(a_row(key)) for key in keys if key != "05"])
+    statuses = dict.fromkeys(keys, "done") | {"05": None}
+    rows = StoredRows(path, statuses)
+    assert (len(rows), list(rows), rows.get("05"), rows.get("x")) == (
+        19,
+        [k for k in keys if k != "05"],
+        None,
+        None,
+    )
+    for order in (keys, keys[::-1], keys[::3], keys):
+        assert [rows[key].key for key in order if key != "05"] == [key for key in order if key != "05"]
+    assert dict(rows) == {key: a_row(key) for key in keys if key != "05"}
+
+
+def test_keys_identities_and_a_sample(store: Store) -> None:
+    assert store.is_empty() and store.size() == 0 and store.sample("done", 5) == []
+    store.put_many([encode(a_row(f"{i:02d}", identity=str(i % 3))) for i in range(20)] + [encode(a_failure("x"))])
+    assert set(store.keys("done")) == {f"{i:02d}" for i in range(20)} == set(store.keys()) - {"x"}
+    assert store.identities() >= {"0", "1", "2"} and store.size() == 21
+    assert [row.key for row in store.sample("done", 5)] == ["04", "09", "14", "19"]
+    assert len(store.sample("done", 100)) == 20
