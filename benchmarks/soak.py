@@ -41,6 +41,8 @@ _DISK_MIB = 400
 _BACK_SECONDS = 3600.0
 #: Shares of the points after which the disk is full and the clock goes back.
 _FULL, _BACK = 0.4, 0.6
+#: The share after which memory is watched: caches are full by then.
+_STEADY = 0.5
 
 
 def as_sweep(log: Path, clock: Path, arguments: list[str]) -> int:
@@ -50,16 +52,16 @@ def as_sweep(log: Path, clock: Path, arguments: list[str]) -> int:
     def compute(job: Any, store: Any, marks: Any, parent: int) -> Any:  # reaches the workers by value
         from fracbench.harness.run import store as module
 
-        def now() -> str:
-            offset = float(clock.read_text() or 0)
-            return (datetime.now(UTC) + timedelta(seconds=offset)).isoformat(timespec="seconds")
+        class Clock:
+            @staticmethod
+            def now(zone: Any) -> datetime:
+                return datetime.now(zone) + timedelta(seconds=float(clock.read_text() or 0))
 
         def say(what: str) -> None:
             with log.open("a") as file:
                 file.write(f"{what} {job.key}\n")
 
-        module.Row.__dataclass_fields__["created"].default_factory = now
-        module._now = now
+        module.datetime = Clock  # type: ignore[attr-defined,assignment]
         say("start")
         row = real(job, store, marks, parent)
         say("end  ")
@@ -169,8 +171,8 @@ class Soak:
             return store.counts()["done"], again, early
 
     def slopes(self) -> tuple[float, float]:
-        """Return the growth of the parent and of the largest worker, MiB per 1,000 points, after a fifth."""
-        later = np.array([each for each in self.samples if self.points / 5 < each[1] < self.points])
+        """Return the growth of the parent and of the largest worker, MiB per 1,000 points, in the second half."""
+        later = np.array([each for each in self.samples if _STEADY * self.points < each[1] < self.points])
         if len(later) < 3:
             return np.nan, np.nan
         parent, worker = (float(1000 * np.polyfit(later[:, 1], later[:, i], 1)[0]) for i in (2, 3))
@@ -272,6 +274,8 @@ def measure(arguments: argparse.Namespace) -> None:
     write_results(records, stem, "A sweep that is disturbed", note)
     if not same or any(record["again"] for record in records) or records[0]["rows"] != records[1]["rows"]:
         raise FracbenchError("the disturbed sweep is not as the other")
+    if disturbed.done["clock back"] and not records[1]["early"]:
+        raise FracbenchError("the clock did not go back")
 
 
 def main(argv: Sequence[str]) -> int:

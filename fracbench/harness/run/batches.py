@@ -7,6 +7,7 @@ scheduler, encoded as the store keeps them. A worker that dies later takes nothi
 
 from __future__ import annotations
 
+import operator
 import os
 import tempfile
 import threading
@@ -14,7 +15,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
-from itertools import chain
+from itertools import chain, compress
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ from fracbench.model.params import FlowParams
 
 _FLUSH_SECONDS = 1.0
 _LOOK_SECONDS = 0.2
-_SAME = (
+_same = operator.attrgetter(
     "method", "dataset", "sequence", "region", "context", "data_digest", "noise", "seed", "scene", "score",
     "options", "version", "shape",
 )  # fmt: skip
@@ -77,17 +78,14 @@ class Batch:
 
 def _changes(point: Point, other: Point) -> dict[str, Any] | None:
     """Return the parameters in which a point differs from another; None where that does not tell it."""
-    if any(getattr(point, name) != getattr(other, name) for name in _SAME):
+    if _same(point) != _same(other):
         return None
     # A worker may lack the package of a method, and says so in a row, which takes the point's canonical form.
     if get_method(point.method).package or type(point.params) is not FlowParams:
         return None
-    there = vars(other.params).values()
-    return {
-        name: value
-        for (name, value), before in zip(vars(point.params).items(), there, strict=True)
-        if value is not before and value != before
-    }
+    values, before = vars(point.params), vars(other.params)
+    others = compress(values, map(operator.is_not, values.values(), before.values()))
+    return {name: values[name] for name in others if values[name] != before[name]}
 
 
 def contents_of(point: Point) -> Any:

@@ -36,6 +36,8 @@ _CONNECT_SECONDS = 10
 _GATHER_SECONDS = 5.0
 _POLL_SECONDS = 1.0
 _LOOK_SECONDS = 0.2
+#: While workers are without work, rows are written at this interval: a transaction waits for the disk.
+_WRITE_SECONDS = 0.2
 #: A worker that is missing in this many looks in a row is given up: by then its last event has arrived.
 _MISSES = 2
 #: Batches that are sent before the rows that have arrived meanwhile are looked at.
@@ -88,14 +90,25 @@ class DaskPool:
         """Compute jobs; see `Pool`. FracbenchError: the scheduler has gone, or a worker cannot run jobs at all."""
         source = _Source(jobs, self._again)
         ended = list[tuple[str, Values | None]]()
-        while True:
-            self._look()
-            full = self._fill(source)
-            self._store.put_many([values for _, values in ended if values is not None])
-            yield from ended  # after sending, so that no worker waits for the disk
-            if not self._out and source.peek() is None:
-                return
-            ended = self._wait(_LOOK_SECONDS if full else 0.0)
+        next_write = 0.0
+        try:
+            while True:
+                self._look()
+                full = self._fill(source)
+                if ended and (full or time.monotonic() >= next_write):  # no worker waits for the disk
+                    self._put(ended)
+                    now, ended = ended, []
+                    yield from now
+                    next_write = time.monotonic() + _WRITE_SECONDS
+                if source.peek() is None and not any(worker.batches for worker in self._workers.values()):
+                    return  # to leave before a batch has ended would end its worker
+                ended += self._wait(_LOOK_SECONDS if full else 0.0)
+        finally:
+            self._put(ended)
+
+    def _put(self, ended: Iterable[tuple[str, Values | None]]) -> None:
+        if rows := [values for _, values in ended if values is not None]:
+            self._store.put_many(rows)
 
     def close(self) -> None:
         """Leave the cluster; points under way there are given up, and their workers start anew."""
@@ -158,7 +171,7 @@ class DaskPool:
         while (job := source.peek()) is not None:
             expected = self._pace.seconds(job.point)
             if count:
-                enough = seconds >= LEAST_SECONDS and (least or count >= share / 2)
+                enough = seconds >= LEAST_SECONDS and (least or count >= share / 4)
                 if enough or count >= share or expected is None or seconds + expected > MOST_SECONDS:
                     return
                 # The files of one pair go with a batch; a point that is tried again may take its worker along.

@@ -98,11 +98,14 @@ def _with(entries: str, value: Any) -> str:
     return f"{_escaped(head)}{entries}{_escaped(tail)}"
 
 
-def _changed(point: Point, changes: Mapping[str, Any]) -> Point:
-    """Return a point with other values of `FlowParams`, which are not checked: that takes longer than a key."""
+def _changed(point: Point, plain: Mapping[str, Any], changes: Mapping[str, Any]) -> Point:
+    """Return a point with other values of `FlowParams`, which are not checked: that takes longer than a key.
+
+    `plain` holds the fields of the point.
+    """
     params, made = object.__new__(FlowParams), object.__new__(Point)
     vars(params).update(vars(point.params), **changes)
-    vars(made).update({name: getattr(point, name) for name in _FIELDS}, params=params)
+    vars(made).update(plain, params=params)
     return made
 
 
@@ -130,6 +133,7 @@ class GridPoints(Sequence[PlannedPoint]):
         self.frames, self._axes = frames, axes
         self._free = [i for i, axis in enumerate(axes) if axis.changes is not None]
         self._made: dict[int, _Frame] = {}
+        self._plain: dict[int, dict[str, Any]] = {}
         self._rows: dict[tuple[str, str], list[list[Texts]]] = {}
 
     def labelled(self, labels: Mapping[str, str]) -> GridPoints:
@@ -156,7 +160,9 @@ class GridPoints(Sequence[PlannedPoint]):
         changes: dict[str, Any] = {}
         for i, row in zip(self._free, rows, strict=True):
             changes |= self._changes(i, planned.point.method)[row]
-        return PlannedPoint(_changed(planned.point, changes), planned.labels)
+        if number not in self._plain:
+            self._plain[number] = {name: getattr(planned.point, name) for name in _FIELDS}
+        return PlannedPoint(_changed(planned.point, self._plain[number], changes), planned.labels)
 
     def _changes(self, axis: int, method: str) -> Sequence[Mapping[str, Any]]:
         changes = self._axes[axis].changes

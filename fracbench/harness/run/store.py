@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 import sqlite3
+import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
@@ -311,8 +312,8 @@ def decode(values: Sequence[Any]) -> Row:
 
 
 def status_of(values: Values) -> str:
-    """Return the status of an encoded row."""
-    return str(values[_STATUS])
+    """Return the status of an encoded row: one object for all, however many rows there are."""
+    return sys.intern(values[_STATUS])
 
 
 _DECODED_KINDS = tuple(_KINDS[name] for name in _COLUMNS)

@@ -417,6 +417,28 @@ def test_points_of_unknown_time_go_alone():
     assert sizes(sent(a_pool("a"), jobs_of(5))) == [1]
 
 
+def test_points_of_unknown_time_do_not_join_a_batch():
+    jobs = jobs_of(2)
+    jobs.append(replace(jobs[0], point=replace(jobs[0].point, method="tvl1")))
+    assert sizes(sent(paced("a"), jobs)) == [2, 1]
+
+
+def test_rows_that_have_come_are_stored_when_the_scheduler_goes(store):
+    pool, jobs = paced("a"), jobs_of(400)
+    pool._store = store
+    ended = pool.compute(jobs)
+    pool._messages.put((None, [0.1, [encode(job.row(an_outcome())) for job in jobs[:1]]]))
+    assert next(ended)[0] == jobs[0].key
+    pool._messages.put((None, [0.1, [encode(job.row(an_outcome())) for job in jobs[1:3]]]))
+    pool._client.status = "closed"
+    pool._next_look = 0.0
+    with pytest.raises(FracbenchError, match="does not answer any more"):
+        for _ in ended:
+            pool._next_look = 0.0
+    assert len(store.rows()) >= 1
+    assert set(store.keys()) <= {job.key for job in jobs[:3]}
+
+
 def test_points_that_are_tried_again_go_alone():
     first, second = sent(paced("a"), jobs_of(4, attempt=2))
     assert sizes([first, second]) == [1, 1]

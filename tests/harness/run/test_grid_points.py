@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import islice
 
 import pytest
@@ -13,6 +14,7 @@ from fracbench.harness.run.grid_points import GridPoints, UniquePoints
 from fracbench.harness.run.plan import make_plan
 from fracbench.harness.run.point import Point
 from fracbench.harness.run.store import Store
+from fracbench.methods.registry import METHODS, get_method
 
 GRIDS = {
     "free axes last": ["sequence=synthetic_flat,synthetic_edge", "alpha=0:1:0.5", "lambda=0.1,0.3"],
@@ -88,6 +90,14 @@ def test_the_values_of_a_parameter(tokens):
     for name in ("boundary", "alpha", "tau"):
         assert made.values(name) == {point.canonical[name] for point in points if name in point.canonical}
     assert made.labels("protocol") == {planned.labels["protocol"] for planned in made.points}
+
+
+def test_the_identity_is_that_of_all_versions(monkeypatch):
+    monkeypatch.setitem(METHODS, "versioned", replace(get_method("tvl1"), name="versioned", version="7"))
+    made = plan("sequence=synthetic_flat", "method=versioned", "theta=0.2,0.3")
+    for i, planned in enumerate(made.points):
+        assert "version" in planned.point.spec
+        assert made.points.identity(i) == planned.point.identity
 
 
 def test_a_value_out_of_range_is_refused_before_a_point_is_made(monkeypatch):
