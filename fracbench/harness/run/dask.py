@@ -27,8 +27,10 @@ from fracbench.harness.run.store import Store, Values, status_of
 
 _log = logging.getLogger(__name__)
 
-#: The seconds of work of a batch: for a worker that has none, and at most.
+#: The seconds of work of a batch: for a worker that has none, and at most. Dask's scheduler takes more than a
+#: millisecond for a batch: the more workers there are, the larger are their batches.
 LEAST_SECONDS, MOST_SECONDS = 1.0, 5.0
+LEAST_PER_WORKER = 0.002
 #: The seconds that a row waits for others: the cluster as a whole sends 1,000 blocks a second at most.
 LEAST_PAUSE, PAUSE_PER_WORKER = 0.1, 0.001
 
@@ -167,11 +169,12 @@ class DaskPool:
         """Yield the jobs of the next batch: 1 to 5 s of work, at most a worker's share of what is left."""
         first = source.peek()
         share = source.left() / len(self._idle if least else self._workers)
+        wanted = min(max(LEAST_SECONDS, LEAST_PER_WORKER * len(self._workers)), MOST_SECONDS)
         count, seconds = 0, 0.0
         while (job := source.peek()) is not None:
             expected = self._pace.seconds(job.point)
             if count:
-                enough = seconds >= LEAST_SECONDS and (least or count >= share / 4)
+                enough = seconds >= wanted and (least or count >= share / 4)
                 if enough or count >= share or expected is None or seconds + expected > MOST_SECONDS:
                     return
                 # The files of one pair go with a batch; a point that is tried again may take its worker along.
