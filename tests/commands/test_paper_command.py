@@ -12,6 +12,7 @@ from fracbench.commands import paper as reproduce
 from fracbench.data.files import write_image
 from fracbench.harness.run import sweep
 from fracbench.harness.run.point import Outcome
+from fracbench.harness.run.store import encode
 from fracbench.report.page import beyond, html
 
 TINY = "n_scales=1, n_warps=1, max_iter=1, sequence=synthetic_flat"
@@ -59,6 +60,7 @@ def test_points_that_fail_are_told_and_the_rest_goes_on(paper, cli, monkeypatch)
         """A pool whose points all fail."""
 
         retry_alone = False
+        ahead = 1
 
         def __init__(self, store):
             self.store = store
@@ -67,7 +69,7 @@ def test_points_that_fail_are_told_and_the_rest_goes_on(paper, cli, monkeypatch)
             for job in jobs:
                 row = job.row(Outcome("failed", "made up", {}, None, None, {}))
                 self.store.put(row)
-                yield job.key, self.store.get(job.key)
+                yield job.key, encode(row)
 
         def close(self):
             pass

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -67,9 +67,7 @@ class Point:
     @cached_property
     def canonical(self) -> dict[str, str]:
         """The parameters that the method uses, sorted by public name: words, and numbers as decimals."""
-        return {
-            name: canonical_value(value) for name, value in get_method(self.method).values(self.params).items()
-        }
+        return {name: _shared_value(value) for name, value in get_method(self.method).values(self.params).items()}
 
     @cached_property
     def spec(self) -> dict[str, Any]:
@@ -118,6 +116,10 @@ def canonical_value(value: Any) -> str:
     if isinstance(value, int | float):
         return canonical_number(repr(value)) or repr(value)
     return str(value)
+
+
+#: One text for all points of a value: a table of many points is made of them.
+_shared_value = lru_cache(maxsize=65536, typed=True)(canonical_value)
 
 
 def _canonical_option(value: Any) -> str | list[str]:

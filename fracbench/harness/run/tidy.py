@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from fracbench.harness.run.grid_points import PlannedPoint
 from fracbench.harness.run.plan import Plan
 from fracbench.harness.run.point import MEASURES
 from fracbench.harness.run.store import Row
@@ -28,10 +30,13 @@ def tidy(plan: Plan, rows: Mapping[str, Row]) -> pd.DataFrame:
     """
     import pandas as pd
 
-    records = []
-    points = [planned for planned in plan.points if planned.point.score not in MEASURES]
-    blank = dict.fromkeys((label for planned in points for label in planned.labels), "")
-    for planned in points:
+    blank, parameters, keyed = dict[str, str](), set[str](), set[str]()
+    for planned in _flows_of(plan):
+        blank.update(dict.fromkeys(planned.labels, ""))
+        parameters.update(planned.point.canonical)
+        keyed.update(planned.point.spec["params"])
+    columns: dict[str, list[Any]] = {}  # many points as records would take five times the memory
+    for count, planned in enumerate(_flows_of(plan)):
         row = rows.get(planned.point.key)
         result = row.result if row else {}
         record: dict[str, Any] = {**blank, **planned.labels, **planned.point.canonical}
@@ -47,16 +52,22 @@ def tidy(plan: Plan, rows: Mapping[str, Row]) -> pd.DataFrame:
         record["status"] = row.status if row else "missing"
         record["error"] = row.error if row else None
         record["key"] = planned.point.key
-        records.append(record)
-    table = pd.DataFrame.from_records(records)
-    parameters = {name for planned in points for name in planned.point.canonical}
-    keyed = {name for planned in points for name in planned.point.spec["params"]}
+        for name in record:
+            if name not in columns:
+                columns[name] = [math.nan] * count
+        for name, values in columns.items():
+            values.append(record.get(name, math.nan))
+    table = pd.DataFrame(columns)
     table = table.drop(columns=parameters - keyed)
     for column in table.columns:
         if column in METRICS or column in parameters:
             table[column] = _as_numbers(table[column])
     # A point that failed has no counts; those of the others stay whole numbers.
     return table.astype(dict.fromkeys((*COUNTS, "iterations", "inner_iterations"), "Int64"))
+
+
+def _flows_of(plan: Plan) -> Iterator[PlannedPoint]:
+    return (planned for planned in plan.points if planned.point.score not in MEASURES)
 
 
 def _total(levels: Sequence[Sequence[int]] | None) -> int | None:
