@@ -32,7 +32,7 @@ from fracbench.harness.run.dask import DaskPool
 from fracbench.harness.run.plan import Plan, make_plan
 from fracbench.harness.run.point import Outcome
 from fracbench.harness.run.pool import Pool
-from fracbench.harness.run.provenance import peak_mib
+from fracbench.harness.run.provenance import peak_mib, reset_peak
 from fracbench.harness.run.store import Store, Values, encode
 
 _ROWS, _ENDED = 0, 1
@@ -227,6 +227,7 @@ def lap(plan: Plan, workers: int, open_pool: Callable[[Store], Pool]) -> dict[st
         Store(Path(folder) / "store.sqlite") as store,
     ):
         pool = open_pool(store)
+        reset_peak()
         started, used = time.perf_counter(), time.process_time()
         report = sweep.run(plan, store, jobs=1, pool=pool)
         seconds, used = time.perf_counter() - started, time.process_time() - used
