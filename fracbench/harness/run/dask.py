@@ -221,7 +221,6 @@ class DaskPool:
             while True:
                 ended += self._read(*message) if batch is None else self._end(batch, message)
                 batch, message = self._messages.get_nowait()
-        self._look()
         for name in [name for name, worker in self._workers.items() if worker.misses >= _MISSES]:
             ended += self._give_up(name)
         return ended
