@@ -34,7 +34,7 @@ _Stored = tuple[str, Values, bool]
 #: Seconds between two looks at points that another sweep has claimed.
 _LOOK_SECONDS = 0.2
 
-#: Files for the locks of `Claims`: with 20,000 points under way, a lock costs 4 us instead of 17 ms.
+#: Files for the locks of `Claims`: with 20,000 locks in one file, to take and release another took 17 ms.
 _CLAIM_FILES = 128
 
 OnRow = Callable[[Row], object]
