@@ -17,8 +17,7 @@ from fracbench.errors import InputError
 from fracbench.evaluation.fluid_errors import derivative_errors, errors_by_gradient
 from fracbench.evaluation.metrics import flow_errors
 from fracbench.harness.run import compute_point
-from fracbench.harness.run.compute_point import point_arrays, point_options, run_point
-from fracbench.harness.run.flows import keep_flow
+from fracbench.harness.run.compute_point import keep_flow, point_arrays, point_options, run_point
 from fracbench.harness.run.point import Point
 from fracbench.methods.method import Method
 from fracbench.methods.paper import energy_growth
