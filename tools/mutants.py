@@ -65,7 +65,8 @@ def concerned(module: Path, root: Path) -> list[list[str]]:
     name = re.escape(module.stem)
     parent = re.escape(".".join(module.parent.parts))
     said = re.compile(rf"{parent}\.{name}\b|from {parent} import [^\n]*\b{name}\b")
-    tests = sorted((root / "tests").rglob("test_*.py"))
+    near = root / "tests" / module.relative_to("fracbench").parent
+    tests = sorted((root / "tests").rglob("test_*.py"), key=lambda test: (test.parent != near, test))
     mirror = [str(test.relative_to(root)) for test in tests if test.stem == f"test_{module.stem}"]
     others = [str(test.relative_to(root)) for test in tests if said.search(test.read_text("utf-8"))]
     return [step for step in (mirror, [name for name in others if name not in mirror], [f"tests/{room}"]) if step]

@@ -20,7 +20,7 @@ from fracbench.model.operators.forward import ForwardDifferences
 from fracbench.model.params import SWITCHES, FlowParams
 from fracbench.model.regularizers import SplitBregman, TVDual, squared_change
 from fracbench.model.resampling import resample
-from fracbench.model.sweeps import FivePoint, gauss_seidel_natural, jacobi_sweep
+from fracbench.model.sweeps import FivePoint, five_point_switches, gauss_seidel_natural, jacobi_sweep
 from fracbench.model.v_steps import v_step_of_penalty
 from fracbench.model.warping import Linearization, around
 
@@ -356,6 +356,12 @@ def test_the_u_step_has_a_penalty_of_its_own(rng, u_solver):
         d = z * np.maximum(1.0 - 1.0 / mu / np.maximum(np.hypot(*z), 1e-30), 0.0)
         b = z - d
     np.testing.assert_allclose(mine.ravel(), u, atol=1e-10)
+
+
+def test_several_sweeps_of_jacobi_are_no_usual_step():
+    jacobi = FlowParams(u_solver="jacobi")
+    assert five_point_switches(jacobi) is None
+    assert five_point_switches(jacobi.replace({"sweeps": 2})) == FivePoint(2, "at_once", "natural")
 
 
 def sweep(five_point, u, v, w, theta=0.3, mu=5.0):

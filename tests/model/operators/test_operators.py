@@ -23,7 +23,7 @@ from fracbench.model.operators.zero import (
 
 ALPHAS = (0.0, 0.3, 0.7, 1.0, 1.3, 1.9, 2.0)
 HIGH = (2.3, 3.0, 3.6, 4.0)  # under reflect alone
-SHAPES = ((7, 5), (8, 6), (13, 11), (1, 9), (9, 1), (1, 1), (16, 3))
+SHAPES = ((7, 5), (8, 6), (13, 11), (1, 9), (9, 1), (1, 1), (16, 3), (35, 3))
 CASES = [
     *(("zero", a, pad) for a, pad in itertools.product(ALPHAS, (0, 1, 5))),
     *(("reflect", a, 0) for a in ALPHAS + HIGH),
