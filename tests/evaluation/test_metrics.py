@@ -14,6 +14,7 @@ from fracbench.errors import InputError
 from fracbench.evaluation.metrics import (
     CONVENTIONS,
     FlowErrors,
+    _checked,
     accuracy,
     angular_error,
     endpoint_error,
@@ -242,3 +243,9 @@ class TestOutliers:
     def test_nothing_known_has_no_share(self):
         with pytest.raises(InputError, match="no pixel to score"):
             outliers(flow_of((1, 0)), flow_of((NAN, 0)))
+
+
+def test_flows_in_single_precision_are_read_as_they_are():
+    flow = RNG.normal(size=(2, 4, 5)).astype(np.float32)
+    assert all(np.shares_memory(flow, read) for read in _checked(flow, flow))
+    assert [read.dtype for read in _checked(flow, flow.astype(np.float64))] == [np.float64] * 2

@@ -11,6 +11,7 @@ import reference_impl as ref
 
 from fracbench.model.energy import coupling, energy, regularity
 from fracbench.model.kernels.pointwise import threshold
+from fracbench.model.kernels.threads import use_threads
 from fracbench.model.operators.choose import make_operator
 from fracbench.model.operators.forward import ForwardDifferences
 from fracbench.model.operators.zero import ZeroGradient
@@ -366,3 +367,12 @@ def test_float32_agrees_with_float64(boundary, alpha, u_solver):
         flows[dtype] = denoise(regularizer, 20, V.astype(dtype))
         assert flows[dtype].dtype == dtype
     np.testing.assert_allclose(flows[np.float32], flows[np.float64], atol=1e-5)
+
+
+def test_a_second_thread_alone_takes_the_memory_for_both_components_at_once():
+    operator = ZeroGradient(1.2, SHAPE)
+    for threads, arrays in ((1, 1), (2, 2)):
+        regularizer = SplitBregman(operator, THETA, MU)
+        with use_threads(threads):
+            regularizer.step(V, V.copy(), np.empty_like(V))
+        assert len(regularizer._w) == arrays

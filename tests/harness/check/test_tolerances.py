@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 
 import pandas as pd
 import pytest
@@ -239,3 +241,9 @@ def test_the_projects_tolerances_are_tight():
     cells = [(name, *cell) for name, table in load_spreads().items() for cell in table[["row", "column"]].values]
     assert len(stored.rows) <= 10
     assert sum(stored.of(*cell).relative > 1e-2 for cell in cells) < 0.12 * len(cells)
+
+
+def test_tolerances_are_imported_without_pandas():
+    """The commands of the check plan before they need it."""
+    code = "import sys; import fracbench.harness.check.tolerances; sys.exit('pandas' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

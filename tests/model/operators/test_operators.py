@@ -363,3 +363,9 @@ def test_make_operator_says_what_is_wrong(args, message):
 def test_padding_belongs_to_zero(boundary):
     with pytest.raises(InputError, match=f"pad=3 with boundary={boundary}"):
         make_operator(boundary, 1.0, (4, 5), pad=3)
+
+
+@pytest.mark.parametrize(("shape", "longer"), [((120, 200), 1), ((200, 120), 0)])
+def test_lines_are_eliminated_along_the_longer_axis(shape, longer):
+    axis, _ = ZeroGradient(1.2, shape, np.float32)._lines
+    assert axis == longer
