@@ -110,12 +110,13 @@ def _distinct(values: Sequence[Any]) -> Any:
 def _search(experiment: Experiment, plan: Plan, jobs: int) -> None:
     """Run the search of an experiment, or the rest of it; its points are computed here if `jobs` is 1."""
     from fracbench.data.files import ensure_folder
-    from fracbench.studies.protocol_search.artefact import journals, printed_numbers
+    from fracbench.studies.protocol_search.artefact import printed_numbers, trial_table
     from fracbench.studies.protocol_search.search import run_search
     from fracbench.studies.protocol_search.space import settings_of
 
     settings = settings_of(experiment, plan)
-    folder = ensure_folder(journals(experiment, plan))
+    table = trial_table(experiment, plan, settings)
+    ensure_folder(table.path.parent)
     total = sum(stage.size for stage in settings.stages)
     data = None if plan.folder is None else plan.folder.resolve()
     with Store(plan.config.results / STORE) as store, console.progress(total, "configurations") as advance:
@@ -126,16 +127,15 @@ def _search(experiment: Experiment, plan: Plan, jobs: int) -> None:
             planned = tuple(PlannedPoint(point, {}) for point in points.values())
             return sweep.run(replace(plan, points=planned), store, jobs=jobs).rows
 
-        run_search(settings, folder, printed_numbers(plan), compute, advance)
+        run_search(settings, table, printed_numbers(plan), compute, advance)
 
 
 def _say_search(experiment: Experiment, plan: Plan) -> None:
-    from fracbench.studies.protocol_search.artefact import journals
-    from fracbench.studies.protocol_search.search import stored_trials
+    from fracbench.studies.protocol_search.artefact import trial_table
     from fracbench.studies.protocol_search.space import settings_of
 
     settings = settings_of(experiment, plan)
-    done = len(stored_trials(settings, journals(experiment, plan)))
+    done = len(trial_table(experiment, plan, settings).read())
     total = sum(stage.size for stage in settings.stages)
     console.say(f"search: {total} configurations of {len(settings.switches)} switches, {done} done")
 

@@ -52,13 +52,14 @@ class ProtocolSearch:
     stages: list[Any] = field(default_factory=list)
     first: list[str] = field(default_factory=list)
     stop_above: float = 0.25
+    stop_within: float = 1.5
     batch: int = 20
 
     def __post_init__(self) -> None:
-        if self.batch < 1 or not self.stop_above > 0.0:
+        if self.batch < 1 or not self.stop_above > 0.0 or not self.stop_within >= 1.0:
             raise InputError(
-                f"option 'batch' must be at least 1, 'stop_above' above 0; "
-                f"got {self.batch} and {self.stop_above:g}"
+                f"option 'batch' must be at least 1, 'stop_above' above 0, 'stop_within' at least 1; "
+                f"got {self.batch}, {self.stop_above:g} and {self.stop_within:g}"
             )
         for part, switches in self.space.items():
             if not isinstance(switches, dict):

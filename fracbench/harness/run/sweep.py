@@ -166,17 +166,19 @@ def run(
 def compute_here(points: Mapping[str, Point], store: Store, folder: Path | None) -> dict[str, Row]:
     """Return the rows of points by key; those that the store lacks are computed in this process, one by one.
 
-    For many short points that are known one after another: a row costs a transaction, and no message to a worker.
+    For many short points that are known a few at a time: they cost one transaction, and no message to a worker.
     """
     from fracbench.harness.run.compute_point import run_point
 
-    rows = store.get_many(points)
-    for key, point in points.items():
-        if key not in rows:
-            job = Job(key, point, 1, SOLVER_VERSION, provenance.commit(), folder)
-            rows[key] = job.row(run_point(point, folder))
-            store.put(rows[key])
-    return rows
+    stored = store.get_many(points)
+    new = {
+        key: Job(key, point, 1, SOLVER_VERSION, provenance.commit(), folder).row(run_point(point, folder))
+        for key, point in points.items()
+        if key not in stored
+    }
+    if new:
+        store.put_many([encode(row) for row in new.values()])
+    return stored | new
 
 
 def _pool(plan: Plan, jobs: int, store: Store) -> Pool:

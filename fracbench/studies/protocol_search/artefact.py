@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from fracbench.data.files import atomic_path
 from fracbench.harness.config.experiment import Experiment
 from fracbench.harness.run.plan import Plan
 from fracbench.harness.run.store import RUNS, Row
@@ -16,7 +17,7 @@ from fracbench.harness.run.tidy import METRICS
 from fracbench.studies import tables
 from fracbench.studies.base import TABLES, Artefact, file_stem
 from fracbench.studies.paper.table2 import printed_table
-from fracbench.studies.protocol_search.search import Trial, stored_trials
+from fracbench.studies.protocol_search.records import Trial, TrialTable, compressed
 from fracbench.studies.protocol_search.space import Settings, settings_of
 
 if TYPE_CHECKING:
@@ -29,25 +30,29 @@ _SHOWN = 5
 def protocol_search(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
     """Show the best configurations of each stage; see `fracbench.studies.base.Renderer`."""
     settings = settings_of(experiment, plan)
-    trials = stored_trials(settings, journals(experiment, plan))
+    kept = trial_table(experiment, plan, settings)
+    trials = kept.read()
     table = best_table(trials, settings)
     stem = file_stem(experiment.name, plan, results / TABLES)
     lines = sentences(trials, settings)
     text = [f"# {experiment.title}", _LEGEND, tables.to_markdown(table), *lines, *plan.notices]
-    files = [tables.write_table(trial_table(trials, settings), stem), tables.write_markdown(stem, *text)]
+    files = [tables.write_table(table, stem), tables.write_markdown(stem, *text)]
+    with atomic_path(stem.with_name(f"{stem.name}_trials.csv.gz")) as path:
+        path.write_bytes(compressed(kept.text(trials)))
+    files.append(stem.with_name(f"{stem.name}_trials.csv.gz"))
     return Artefact(files, [(experiment.title, tables.rounded(table))], lines)
 
 
 _LEGEND = (
     "Distance: RMS of ln(ours / printed) over the numbers of Table 2 that the stage is about. Each row is a "
-    "configuration; switches at their value in the grid are left out. The CSV has all configurations; those that "
-    "ended after the first sequences are marked as stopped, and their distance is of these alone."
+    "configuration; switches at their value in the grid are left out. The file of trials has all configurations "
+    "and ln(ours / printed) of all numbers that they computed."
 )
 
 
-def journals(experiment: Experiment, plan: Plan) -> Path:
-    """Return the folder of the search's journals."""
-    return plan.config.results / RUNS / f"{experiment.name}{plan.mark}"
+def trial_table(experiment: Experiment, plan: Plan, settings: Settings) -> TrialTable:
+    """Return the table to which a search appends its trials."""
+    return TrialTable(plan.config.results / RUNS / f"{experiment.name}{plan.mark}_trials.csv", settings)
 
 
 def printed_numbers(plan: Plan) -> dict[tuple[str, str, str], float]:
@@ -68,22 +73,6 @@ def printed_numbers(plan: Plan) -> dict[tuple[str, str, str], float]:
     }
 
 
-def trial_table(trials: Sequence[Trial], settings: Settings) -> pd.DataFrame:
-    """Return a row a configuration: stage, study, number, distances, and the value of each switch."""
-    import pandas as pd
-
-    records = []
-    for trial in trials:
-        record: dict[str, Any] = {"stage": trial.stage, "study": trial.study, "number": trial.number}
-        record |= {"stopped": trial.stopped, "distance": round(trial.distance, 6)}
-        for method in dict.fromkeys(method for method, _ in settings.points):
-            logs = [log for (name, *_), log in trial.logs.items() if name == method]
-            record[f"distance {method}"] = round(float(np.sqrt(np.mean(np.square(logs)))), 6) if logs else None
-        record |= {switch.name: trial.values.get(switch.name) for switch in settings.switches}
-        records.append(record)
-    return pd.DataFrame(records)
-
-
 def best_table(trials: Sequence[Trial], settings: Settings) -> pd.DataFrame:
     """Return the best configurations of each stage, with the numbers within 5 and 10 % of the printed ones."""
     import pandas as pd
@@ -91,7 +80,7 @@ def best_table(trials: Sequence[Trial], settings: Settings) -> pd.DataFrame:
     records = []
     for stage in dict.fromkeys(trial.stage for trial in trials):
         whole = [trial for trial in trials if trial.stage == stage and not trial.stopped]
-        unique = {repr(sorted(trial.values.items())): trial for trial in sorted(whole, key=_nearest, reverse=True)}
+        unique = {trial.configuration: trial for trial in sorted(whole, key=_nearest, reverse=True)}
         for trial in sorted(unique.values(), key=_nearest)[:_SHOWN]:
             off = np.abs(list(trial.logs.values()))
             record: dict[str, Any] = {"stage": stage, "distance": trial.distance, "numbers": len(off)}
@@ -122,11 +111,11 @@ def sentences(trials: Sequence[Trial], settings: Settings) -> list[str]:
         mine = [trial for trial in trials if trial.stage == stage]
         if not mine:
             continue
-        distinct = len({repr(sorted(trial.values.items())) for trial in mine})
+        distinct = len({trial.configuration for trial in mine})
         whole = [trial.distance for trial in mine if not trial.stopped]
         least = f"the least distance is {min(whole):.4f}" if whole else "none ran to its end"
         found.append(
-            f"{stage}: {len(mine)} configurations, {distinct} distinct, {len(mine) - len(whole)} stopped after "
-            f"{' and '.join(settings.first)}; {least}."
+            f"{stage}: {len(mine)} configurations, {distinct} distinct, {len(mine) - len(whole)} stopped early; "
+            f"{least}."
         )
     return found

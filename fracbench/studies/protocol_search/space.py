@@ -94,9 +94,10 @@ class Settings:
     switches : tuple of Switch
     stages : tuple of Stage
     first : tuple of str
-        The sequences that are computed first.
-    stop_above : float
-        A configuration ends after these if it is farther from the printed numbers.
+        The sequences that are computed first, in this order.
+    stop_above, stop_within : float
+        A configuration ends early where its numbers so far are farther from the printed ones than the smaller of
+        `stop_above` and `stop_within` times the least distance of its study (`limit`).
     batch : int
         Configurations that a sampler proposes at a time, and that are kept together.
     points : dict
@@ -107,6 +108,7 @@ class Settings:
     stages: tuple[Stage, ...]
     first: tuple[str, ...]
     stop_above: float
+    stop_within: float
     batch: int
     points: Mapping[tuple[str, str], Point]
 
@@ -114,6 +116,19 @@ class Settings:
     def sequences(self) -> tuple[str, ...]:
         """All sequences, the first ones first."""
         return tuple(dict.fromkeys([*self.first, *(sequence for _, sequence in self.points)]))
+
+    def order(self, methods: Sequence[str] = ()) -> list[tuple[str, str]]:
+        """Return the sequences and methods, all or those of a stage, in the order in which they are computed."""
+        known = dict.fromkeys(method for method, _ in self.points)
+        return [(name, m) for name in self.sequences for m in known if not methods or m in methods]
+
+    def limit(self, least: float, part: float) -> float:
+        """Return the distance at which a configuration ends after a part, in (0, 1], of its points.
+
+        `least` is the least distance so far. A distance over a part p of the numbers is at most p^(-1/2) times
+        that over all of them; p^(-1/4) is stricter: few configurations have all their errors in one sequence.
+        """
+        return float(min(self.stop_above, self.stop_within * least) * part**-0.25)
 
     @cached_property
     def usual(self) -> dict[str, Any]:
@@ -172,7 +187,8 @@ def settings_of(experiment: Experiment, plan: Plan) -> Settings:
     if plan.small:
         stages = tuple(replace(stage, trials=min(stage.trials, options.batch)) for stage in stages)
     switches = tuple(_switches(options.space, methods, where))
-    settings = Settings(switches, stages, first, options.stop_above, options.batch, points)
+    limits = options.stop_above, options.stop_within
+    settings = Settings(switches, stages, first, *limits, options.batch, points)
     for stage in stages:
         for values in stage.begin:
             settings.whole(mapping(values, f"{where}, begin"), f"{where}, begin")
