@@ -21,7 +21,7 @@ from fracbench.studies.options import require_options
 SHARED = "shared"
 #: Switches of the scoring: they are no parameters of a method.
 SCORING = ("score", "margin")
-SAMPLERS = ("tpe", "nsga2")
+SAMPLERS = ("tpe", "nsga2", "neighbours")
 
 Values = Mapping[str, Any]
 
@@ -51,7 +51,8 @@ class Stage:
     trials : int
         Configurations by each sampler and seed.
     seeds : dict
-        Seeds by sampler, ``tpe`` or ``nsga2``.
+        Seeds by sampler: ``tpe`` or ``nsga2``, or ``neighbours``, for which the seed is the rank, from 1, of the
+        configuration to begin with.
     given : int
         Take the settings of the other methods from so many of the best of the stages before, and search only the
         switches of `methods`; 0: search all switches, beginning with those best.
@@ -81,6 +82,8 @@ class Stage:
         for sampler, seeds in self.seeds.items():
             if sampler not in SAMPLERS:
                 raise unknown_name("sampler", sampler, SAMPLERS)
+            if sampler == "neighbours" and self.given:
+                raise InputError("a stage by neighbours has no `given`")
             if not isinstance(seeds, list) or not all(type(seed) is int and seed >= 0 for seed in seeds):
                 raise InputError(f"seeds of {sampler} must be a list of whole numbers, got {seeds!r}")
 

@@ -190,6 +190,29 @@ def test_the_table_gives_the_trials_back_compressed_or_not(tmp_path):
         kept.read()
 
 
+def test_neighbours_reach_what_was_planted_one_switch_at_a_time(tmp_path):
+    stages = [{"methods": ["tvl1", "tvl1_sb"], "trials": 100, "begin": [{}], "seeds": {"neighbours": [1]}}]
+    chosen, plan = settings(stages=stages, stop_above=9.0)
+    trials = run_search(chosen, table(chosen, tmp_path), printed_numbers(plan), Pretended(plan))
+    first = trials[0].values
+    assert first["n_warps"] == 5 and first["max_iter"] == 3 and first["tvl1.tau"] == 0.25  # the protocol's
+    for trial in trials[1:13]:
+        assert sum(trial.values[name] != value for name, value in first.items()) == 1
+    best = min(trials, key=lambda trial: trial.distance)
+    assert best.distance == 0.0 and best.values["tvl1.tau"] == PLANTED["tau"]
+    assert len({trial.configuration for trial in trials}) == len(trials)
+    again = run_search(chosen, table(chosen, made(tmp_path / "b")), printed_numbers(plan), Pretended(plan))
+    assert again == trials
+
+
+def test_neighbours_of_a_small_space_are_repeated(tmp_path):
+    space = {"shared": {"warp": ["bilinear", "bicubic"]}, "tvl1": {"tau": [0.1, 0.25]}}
+    stages = [{"methods": ["tvl1"], "trials": 7, "begin": [{}], "seeds": {"neighbours": [5]}}]
+    chosen, plan = settings(stages=stages, space=space, batch=3, stop_above=9.0)
+    trials = run_search(chosen, table(chosen, tmp_path), printed_numbers(plan), Pretended(plan))
+    assert len(trials) == 7 and len({trial.configuration for trial in trials}) == 4
+
+
 def test_a_point_that_failed_is_far_from_the_table(tmp_path):
     chosen, plan = settings(stages=[{**STAGES[0], "trials": 2}])
 
@@ -238,6 +261,8 @@ def test_points_differ_from_the_grids_by_the_values_that_their_method_uses():
         ({"stages": [{"methods": ["tvl1"], "trials": 5, "seeds": {"tpe": 1}}]}, "a list of whole numbers"),
         ({"stages": [{**STAGES[0], "begin": [{"n_warps": 4}]}]}, "n_warps=4 is not among the values"),
         ({"stages": [{**STAGES[0], "begin": [{"n_warp": 4}]}]}, "did you mean 'n_warps'"),
+        ({"stages": [STAGES[0], {**STAGES[1], "seeds": {"neighbours": [1]}}]}, "by neighbours has no `given`"),
+        ({"stop_within": 0.9}, "'stop_within' at least 1"),
         ({"batch": 0}, "'batch' must be at least 1"),
     ],
 )
