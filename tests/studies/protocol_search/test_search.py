@@ -192,7 +192,7 @@ def test_the_table_gives_the_trials_back_compressed_or_not(tmp_path):
 
 def test_neighbours_reach_what_was_planted_one_switch_at_a_time(tmp_path):
     stages = [{"methods": ["tvl1", "tvl1_sb"], "trials": 100, "begin": [{}], "seeds": {"neighbours": [1]}}]
-    chosen, plan = settings(stages=stages, stop_above=9.0)
+    chosen, plan = settings(stages=stages, stop_above=9.0, batch=7)
     trials = run_search(chosen, table(chosen, tmp_path), printed_numbers(plan), Pretended(plan, least=0.02))
     first = trials[0].values
     assert first["n_warps"] == 5 and first["max_iter"] == 3 and first["tvl1.tau"] == 0.25  # the protocol's
