@@ -21,6 +21,7 @@ from fracbench.evaluation.metrics import (
     flow_errors,
     outliers,
     robustness,
+    with_unknown_as_zero,
 )
 
 RNG = np.random.default_rng(3)
@@ -249,3 +250,24 @@ def test_flows_in_single_precision_are_read_as_they_are():
     flow = RNG.normal(size=(2, 4, 5)).astype(np.float32)
     assert all(np.shares_memory(flow, read) for read in _checked(flow, flow))
     assert [read.dtype for read in _checked(flow, flow.astype(np.float64))] == [np.float64] * 2
+
+
+def test_unknown_true_flow_counts_as_zero():
+    truth = np.float32([[[1.0, NAN, 3.0], [1e10, 5.0, 1e9]], [[-1.0, 2.0, NAN], [4.0, -1e10, 6.0]]])
+    before = truth.copy()
+    filled = with_unknown_as_zero(truth)
+    # both components are 0 where one of them is unknown; 1e9 itself is still known
+    assert filled.tolist() == [[[1.0, 0.0, 0.0], [0.0, 0.0, 1e9]], [[-1.0, 0.0, 0.0], [0.0, 0.0, 6.0]]]
+    assert filled.dtype == np.float32
+    assert np.array_equal(truth, before, equal_nan=True)
+
+
+def test_errors_with_unknown_as_zero_are_those_of_all_pixels():
+    truth = np.array([[[3.0, NAN, NAN, NAN]], [[4.0, NAN, NAN, NAN]]])
+    flow = np.array([[[3.0, 0.0, 3.0, 0.0]], [[4.0, 0.0, 4.0, 1.0]]])
+    errors = flow_errors(flow, with_unknown_as_zero(truth))
+    assert (errors.n_pixels, errors.n_unknown) == (4, 0)
+    assert errors.aepe == pytest.approx((0.0 + 0.0 + 5.0 + 1.0) / 4)
+    angles = np.array([0.0, 0.0, math.acos(1.0 / math.sqrt(26.0)), math.pi / 4.0])
+    assert errors.aae == pytest.approx(angles.mean()) and errors.sdae == pytest.approx(angles.std())
+    assert flow_errors(flow, truth).aepe == 0.0  # as the paper's table has it: one known pixel

@@ -155,12 +155,12 @@ class Settings:
     def searched(self, stage: Stage) -> list[Switch]:
         """Return the switches that a stage searches."""
         parts = stage.methods if stage.given else [SHARED, *stage.methods]
-        return [switch for switch in self.switches if _part(switch.name) in parts]
+        return [switch for switch in self.switches if part_of(switch.name) in parts]
 
     def point(self, method: str, sequence: str, values: Values) -> Point:
         """Return the point of a configuration for a method and a sequence."""
         base, known = self.points[method, sequence], get_method(method)
-        mine = {_plain(name): value for name, value in values.items() if _part(name) in (SHARED, method)}
+        mine = {_plain(name): value for name, value in values.items() if part_of(name) in (SHARED, method)}
         scoring = {name: mine.pop(name) for name in SCORING if name in mine}
         used = {name: value for name, value in mine.items() if name in known.uses}
         point = replace(base, params=known.replace(base.params, used), score=scoring.get("score", base.score))
@@ -219,7 +219,8 @@ def _switches(space: Mapping[str, Any], methods: Sequence[str], where: str) -> l
     return found
 
 
-def _part(name: str) -> str:
+def part_of(name: str) -> str:
+    """Return the part of the space to which a switch belongs: `SHARED`, or a method."""
     return name.rpartition(".")[0] or SHARED
 
 

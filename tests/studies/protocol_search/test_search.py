@@ -300,7 +300,9 @@ def test_the_command_computes_each_point_once_and_writes_the_same_files_again(sm
     assert main(command) == 0
     tables = small_search / "results" / "tables"
     files = {path: path.read_bytes() for path in tables.iterdir()}
-    assert sorted(path.name for path in files) == ["mine.csv", "mine.md", "mine_trials.csv.gz"]
+    parts = [f"mine_{part}.csv" for part in ("halves", "numbers", "pairs", "switches", "values")]
+    assert {path.name for path in files} == {"mine.csv", "mine.md", *parts, "mine_trials.csv.gz"}
+    assert (small_search / "results" / "figures" / "mine.png").exists()
     assert len(gzip.decompress(files[tables / "mine_trials.csv.gz"]).splitlines()) == 7
     with Store(small_search / "results" / STORE, readonly=True) as store:
         rows = store.rows()
