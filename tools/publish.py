@@ -24,6 +24,8 @@ from fracbench.report.sources import COMMITTED, SUFFIXES, Sources
 
 FOLDERS = ("tables", "figures")
 PUBLISHED = (*PAPER, *EXPERIMENTS, "fluids")
+#: Experiments that take long: they are published where they were computed, else their copies stay.
+LONG = ("protocol_search",)
 #: The README's pictures that belong to no experiment, and the commands that write them.
 PICTURES = {
     "readme_alpha.png": ("sweep", "alpha=0:2:0.1", "region=grove2_A"),
@@ -33,8 +35,8 @@ PICTURES = {
 
 def computed(results: Path, only: Sequence[str] = ()) -> list[Path]:
     """Return the files to publish, relative to the results folder: all, or those of some experiments."""
-    names = "|".join(only or (*PUBLISHED, "answer", "claims"))
-    wanted = re.compile(rf"(?!\.)({names})(_\w+)?\.\w+")
+    names = "|".join(only or (*PUBLISHED, *LONG, "answer", "claims"))
+    wanted = re.compile(rf"(?!\.)({names})(_\w+)?\.\w+(\.gz)?")
     endings = tuple(suffix for suffix in SUFFIXES if suffix)
     return [
         path.relative_to(results)
@@ -61,7 +63,7 @@ def problems(results: Path, committed: Path, sources: Sources, only: Sequence[st
         if n_dirty:
             found.append(f"{name}: {n_dirty} points were computed from a commit with local changes")
     files = computed(results, only)
-    absent = sorted({*computed(committed, only)} - {*files})
+    absent = sorted({*computed(committed, only or PUBLISHED)} - {*files})
     if absent:
         lacking = ", ".join(map(str, absent))
         found.append(f"{results}: lacks {lacking}; run make paper, make beyond and make fluids")
@@ -98,9 +100,10 @@ def draw(picture: str) -> Path:
 
 def main(only: Sequence[str]) -> int:
     """Check and copy, and renew the README unless some experiments are named; return the exit code."""
-    unknown = [name for name in only if name not in PUBLISHED]
+    allowed = (*PUBLISHED, *LONG)
+    unknown = [name for name in only if name not in allowed]
     if unknown:
-        raise InputError(f"publish: {unknown[0]} is not published (allowed: {', '.join(PUBLISHED)})")
+        raise InputError(f"publish: {unknown[0]} is not published (allowed: {', '.join(allowed)})")
     root = checkout()
     if root is None or root != Path.cwd():
         raise InputError(f"publish: run it at the top of the checkout, {root}")

@@ -110,13 +110,19 @@ def _distinct(values: Sequence[Any]) -> Any:
 def _search(experiment: Experiment, plan: Plan, jobs: int) -> None:
     """Run the search of an experiment, or the rest of it; its points are computed here if `jobs` is 1."""
     from fracbench.data.files import ensure_folder
+    from fracbench.report.sources import homes
+    from fracbench.studies.base import TABLES
     from fracbench.studies.protocol_search.artefact import printed_numbers, trial_table
-    from fracbench.studies.protocol_search.search import run_search
+    from fracbench.studies.protocol_search.search import run_search, take_over
     from fracbench.studies.protocol_search.space import settings_of
 
     settings = settings_of(experiment, plan)
     table = trial_table(experiment, plan, settings)
     ensure_folder(table.path.parent)
+    for home in homes(plan.config.results)[1:]:
+        known = home / TABLES / f"{table.path.name}.gz"
+        if known.exists() and not table.path.exists() and (count := take_over(table, known, settings)):
+            console.note(f"{count} configurations taken from {known}")
     total = sum(stage.size for stage in settings.stages)
     data = None if plan.folder is None else plan.folder.resolve()
     with Store(plan.config.results / STORE) as store, console.progress(total, "configurations") as advance:

@@ -6,10 +6,9 @@ had not been interrupted.
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -56,6 +55,18 @@ def run_search(
     return trials
 
 
+def take_over(table: TrialTable, other: Path, settings: Settings) -> int:
+    """Begin a table with the trials of another file that have the same settings; return their number."""
+    wanted = {settings.digest(stage) for stage in settings.stages}
+    try:
+        found = [trial for trial in TrialTable(other, settings).read() if trial.settings in wanted]
+    except InputError:  # a search over other switches
+        return 0
+    if found:
+        table.append(found)
+    return len(found)
+
+
 def _by_study(trials: Sequence[Trial]) -> dict[str, list[Trial]]:
     found: dict[str, list[Trial]] = {}
     for trial in trials:
@@ -86,14 +97,6 @@ class _Study:
     def __init__(self, settings: Settings, stage: Stage, name: str) -> None:
         self._settings, self._stage, self._name = settings, stage, name
 
-    def _digest(self) -> str:
-        """Return the digest of all that a study depends on, apart from the best of the stage before."""
-        settings = self._settings
-        asked: list[Any] = [[s.name, list(s.values)] for s in settings.searched(self._stage)]
-        asked += [settings.order(self._stage.methods), settings.stop_above, settings.stop_within, settings.batch]
-        asked += [self._stage.given, self._stage.begin, [point.key for point in settings.points.values()]]
-        return hashlib.sha256(json.dumps(asked).encode()).hexdigest()[:8]
-
     def run(
         self,
         known: Sequence[Trial],
@@ -105,7 +108,7 @@ class _Study:
         budget: int | None,
     ) -> list[Trial]:
         """Try configurations, batch by batch, until there are enough; `known` are those of the table."""
-        settings, digest, wanted = self._settings, self._digest(), self._stage.trials
+        settings, digest, wanted = self._settings, self._settings.digest(self._stage), self._stage.trials
         if any(trial.settings != digest for trial in known):
             raise InputError(f"{table.path}: {self._name} has other settings; move the table away")
         trials: list[Trial] = []

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -156,6 +158,13 @@ class Settings:
         """Return the switches that a stage searches."""
         parts = stage.methods if stage.given else [SHARED, *stage.methods]
         return [switch for switch in self.switches if part_of(switch.name) in parts]
+
+    def digest(self, stage: Stage) -> str:
+        """Return the digest of all that a study of a stage depends on, apart from the best of the stage before."""
+        asked: list[Any] = [[switch.name, list(switch.values)] for switch in self.searched(stage)]
+        asked += [self.order(stage.methods), self.stop_above, self.stop_within, self.batch]
+        asked += [stage.given, stage.begin, [point.key for point in self.points.values()]]
+        return hashlib.sha256(json.dumps(asked).encode()).hexdigest()[:8]
 
     def point(self, method: str, sequence: str, values: Values) -> Point:
         """Return the point of a configuration for a method and a sequence."""

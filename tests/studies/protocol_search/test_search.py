@@ -13,10 +13,12 @@ from fracbench.errors import InputError
 from fracbench.harness.config.experiment import Experiment
 from fracbench.harness.run.plan import make_plan
 from fracbench.harness.run.store import STORE, Row, Store
+from fracbench.report import sources
+from fracbench.report.sources import COMMITTED
 from fracbench.studies.paper.table2 import distance
 from fracbench.studies.protocol_search.artefact import printed_numbers
 from fracbench.studies.protocol_search.records import Trial, TrialTable, compressed
-from fracbench.studies.protocol_search.search import best_values, run_search
+from fracbench.studies.protocol_search.search import best_values, run_search, take_over
 from fracbench.studies.protocol_search.space import settings_of
 
 pytest.importorskip("optuna")
@@ -313,6 +315,35 @@ def test_the_command_computes_each_point_once_and_writes_the_same_files_again(sm
         assert store.rows() == rows
     assert main([*command, "--dry-run"]) == 0
     assert "search: 6 configurations of 2 switches, 6 done" in capsys.readouterr().out
+
+
+def test_a_search_goes_on_from_the_committed_trials(small_search, monkeypatch, capsys):
+    command = ["experiment", "mine", "--jobs", "1"]
+    assert main(command) == 0
+    results = small_search / "results"
+    first = (results / "tables" / "mine_trials.csv.gz").read_bytes()
+    committed = small_search / "checkout" / COMMITTED / "tables"
+    committed.mkdir(parents=True)
+    rows = gzip.decompress(first).decode().splitlines(keepends=True)
+    (committed / "mine_trials.csv.gz").write_bytes(compressed("".join(rows[:4])))  # the first of two batches
+    monkeypatch.setattr(sources, "checkout", lambda: small_search / "checkout")
+    results.rename(small_search / "moved")
+    capsys.readouterr()
+    assert main(command) == 0
+    assert "3 configurations taken from" in capsys.readouterr().err
+    assert (results / "tables" / "mine_trials.csv.gz").read_bytes() == first
+
+
+def test_trials_of_other_settings_are_not_taken_over(tmp_path):
+    chosen, plan = settings()
+    run_search(chosen, table(chosen, tmp_path), printed_numbers(plan), Pretended(plan), budget=140)
+    kept = table(chosen, tmp_path).path
+    other, _ = settings(stages=[STAGES[0], {**STAGES[1], "given": 2}])
+    new = TrialTable(tmp_path / "new.csv", other)
+    assert take_over(new, kept, other) == 130 and {trial.stage for trial in new.read()} == {"tvl1"}
+    smaller, _ = settings(space={**SPACE, "tvl1": {"tau": [0.1, 0.25]}})
+    new = TrialTable(tmp_path / "newer.csv", smaller)
+    assert take_over(new, kept, smaller) == 0 and not new.path.exists()
 
 
 def test_without_optuna_one_line_says_so(small_search, monkeypatch, capsys):
