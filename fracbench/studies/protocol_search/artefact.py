@@ -34,7 +34,7 @@ def protocol_search(experiment: Experiment, plan: Plan, rows: Mapping[str, Row],
     """Show the best configurations, and what they tell of each switch; see `fracbench.studies.base.Renderer`.
 
     The tables of switches, values and pairs have a part for each set of methods that a stage searches; the figure,
-    the halves and the numbers are about the last stage's.
+    the halves and the numbers are about the stage with the most methods.
     """
     from fracbench.figures.cache import draw
 
@@ -50,14 +50,13 @@ def protocol_search(experiment: Experiment, plan: Plan, rows: Mapping[str, Row],
         by_methods["pairs"][name] = analysis.pair_table(each)
     found = {part: _joined(each) for part, each in by_methods.items()}
     lines = sentences(trials, settings)
-    last = asked.get(settings.stages[-1].name)
+    most = max(settings.stages, key=lambda stage: len(stage.methods)).name
+    last = asked.get(most)
     if last is not None:
         sequences = list(dict.fromkeys(planned.labels["sequence"] for planned in plan.points))
         found["halves"] = analysis.half_table(last, sequences)
         found["numbers"] = analysis.number_table(last, printed)
-        lines += tellings(
-            last, by_methods["switches"][settings.stages[-1].name], found["halves"], found["numbers"]
-        )
+        lines += tellings(last, by_methods["switches"][most], found["halves"], found["numbers"])
     table = best_table(trials, settings)
     stem = file_stem(experiment.name, plan, results / TABLES)
     text = [f"# {experiment.title}", _LEGEND, tables.to_markdown(table), *lines]
@@ -71,7 +70,7 @@ def protocol_search(experiment: Experiment, plan: Plan, rows: Mapping[str, Row],
         path.write_bytes(compressed(kept.text(trials)))
     files.append(stem.with_name(f"{stem.name}_trials.csv.gz"))
     if last is not None:
-        drawn = by_methods["switches"][settings.stages[-1].name], by_methods["values"][settings.stages[-1].name]
+        drawn = by_methods["switches"][most], by_methods["values"][most]
         files += draw(file_stem(experiment.name, plan, results / FIGURES), value_grid, *drawn, last.least)
     return Artefact(files, [(experiment.title, tables.rounded(table))], lines)
 
