@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fracbench.commands import console
 from fracbench.commands.flow_output import picture_beside, say_errors, say_result, write_flow_and_picture
@@ -17,6 +17,9 @@ from fracbench.harness.run.grid_points import PlannedPoint
 from fracbench.harness.run.plan import Plan, make_plan, plan_artefact
 from fracbench.harness.run.point import Point
 from fracbench.harness.run.store import RUNS, STORE, Row, Store
+
+if TYPE_CHECKING:
+    from fracbench.studies.base import Artefact
 
 #: Stored rows that the time of a sweep is estimated by.
 _SAMPLE = 10_000
@@ -53,6 +56,8 @@ def run_experiment(
     if experiment.artefact == "protocol_search":
         _search(experiment, plan, workers)
     artefact = render(experiment, plan, report.rows, plan.config.results)
+    if experiment.artefact == "protocol_claims":
+        _judge(experiment, plan, report.rows, artefact)
     _say_computed(report)
     for title, view in artefact.views:
         console.show_table(view, title)
@@ -134,6 +139,18 @@ def _search(experiment: Experiment, plan: Plan, jobs: int) -> None:
             return sweep.run(replace(plan, points=planned), store, jobs=jobs).rows
 
         run_search(settings, table, printed_numbers(plan), compute, advance)
+
+
+def _judge(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], artefact: Artefact) -> None:
+    """Judge the paper's claims by the points of an experiment, and add the verdicts to its artefact."""
+    from fracbench.harness.run.tidy import tidy
+    from fracbench.report.claims.claims import count_lines
+    from fracbench.report.claims.further import judge_further, write_further
+    from fracbench.studies.base import TABLES, file_stem
+
+    judged = judge_further(tidy(plan, rows))
+    artefact.files += write_further(judged, file_stem(experiment.name, plan, plan.config.results / TABLES))
+    artefact.lines += count_lines(judged)
 
 
 def _say_search(experiment: Experiment, plan: Plan) -> None:

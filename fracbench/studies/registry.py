@@ -20,7 +20,7 @@ from fracbench.studies.options import require_options
 from fracbench.studies.paper.alpha_regions import alpha_regions
 from fracbench.studies.paper.figures import family, frames, region_boxes
 from fracbench.studies.paper.table1 import table1
-from fracbench.studies.paper.table2 import table2
+from fracbench.studies.paper.table2 import protocol_claims, table2
 from fracbench.studies.protocol_search.artefact import protocol_search
 from fracbench.studies.protocols import protocol_study
 from fracbench.studies.solvers.convergence_study import convergence
@@ -40,6 +40,7 @@ RENDERERS: dict[str, Renderer] = {
     "fluids": fluids,
     "frames": frames,
     "order_from_flow": order_from_flow,
+    "protocol_claims": protocol_claims,
     "protocol_search": protocol_search,
     "protocol_study": protocol_study,
     "region_boxes": region_boxes,

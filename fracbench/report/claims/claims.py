@@ -94,14 +94,18 @@ def _claim(row: Mapping[Any, Any], where: str) -> Claim:
     return Claim(**texts, args=dict(row.get("args") or {}))
 
 
-def evaluate(load: Callable[[str], pd.DataFrame | None], claims: Sequence[Claim] | None = None) -> list[Judged]:
-    """Judge claims, the project's by default, under each protocol that their rules can judge.
+def evaluate(
+    load: Callable[[str], pd.DataFrame | None],
+    claims: Sequence[Claim] | None = None,
+    settings: Sequence[str] | None = None,
+) -> list[Judged]:
+    """Judge claims, the project's by default, under each protocol that their rules can judge, or under `settings`.
 
     `load` gives the tidy table of an experiment by name, None if there is none; it is asked for `EXPERIMENTS`.
     """
     tables = Tables(load)
     return [
-        Judged(claim, tuple(_judge(claim, tables, setting) for setting in RULES[claim.rule].settings))
+        Judged(claim, tuple(_judge(claim, tables, setting) for setting in settings or RULES[claim.rule].settings))
         for claim in (load_claims() if claims is None else claims)
     ]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -45,6 +46,12 @@ def table2(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results:
         write_text("\n".join(latex) + "\n", stem.with_name(stem.name + ".tex")),
     ]
     return artefact
+
+
+def protocol_claims(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
+    """Write Table 2 from the part of that name: the other parts are for `fracbench.report.claims.further`."""
+    points = tuple(planned for planned in plan.points if planned.labels["part"] == "table2")
+    return table2(experiment, replace(plan, points=points), rows, results)
 
 
 def printed_table() -> pd.DataFrame:

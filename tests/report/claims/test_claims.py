@@ -21,6 +21,7 @@ from fracbench.report.claims.claims import (
     render_claims,
     write_claims,
 )
+from fracbench.report.claims.further import judge_further
 from fracbench.report.claims.judging import (
     CONTEXT,
     FAILS,
@@ -649,3 +650,29 @@ def test_the_command_takes_no_grid(work, cli):
     assert done.code == 2
     assert "claims: an experiment fixes its own grid" in done.err
     assert list(work.iterdir()) == []
+
+
+def test_a_further_protocol_is_judged_by_the_same_rules_from_one_table():
+    tables = {"table2": table2(), "fig2": fig2(), "fig3": fig3(), "fig4": fig3(), **both()}
+    tables["regions_lambda_sb"] = coarse()
+    parts = []
+    for name, table in tables.items():
+        mine = table[table["protocol"] == "published"]
+        if name in ("fig6", "fig7"):
+            mine, name = mine[mine["part"] == "protocols"], "regions"
+        parts.append(mine.assign(part=name, protocol="other"))
+    judged = judge_further(pd.concat(parts, ignore_index=True))
+    expected = {item.claim.id: item.verdicts[1] for item in evaluate(tables.get)}
+    assert [item.claim.id for item in judged] == list(expected)
+    for item in judged:
+        (verdict,) = item.verdicts
+        assert verdict.protocol == "other" and expected[item.claim.id].protocol == "published"
+        assert (verdict.verdict, verdict.evidence) == (
+            expected[item.claim.id].verdict,
+            expected[item.claim.id].evidence,
+        )
+    assert {verdict.verdict for item in judged for verdict in item.verdicts} >= {HOLDS, FAILS}
+    without = judge_further(pd.concat(parts[:1], ignore_index=True))
+    assert {item.claim.id for item in without if item.words["other"] != "cannot be judged"} == {
+        "table2-aae", "table2-aepe", "table2-sdae", "table2-numbers",
+    }  # fmt: skip
