@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 #: The darkest colour is this many times the least distance.
 _FAR = 3.0
 _ROW = 0.24  # height, inches
+_LONG = 10  # letters that fit a cell
 
 
 def value_grid(switches: pd.DataFrame, values: pd.DataFrame, least: float) -> Figure:
@@ -44,7 +45,10 @@ def value_grid(switches: pd.DataFrame, values: pd.DataFrame, least: float) -> Fi
                     box = Rectangle((column - 0.46, row - 0.44), 0.92, 0.88, fill=False, lw=1.6, ec=PALETTE[1])
                     left.add_patch(box)
                 dark = not math.isfinite(ratio) or ratio > math.sqrt(_FAR) * 1.15
-                left.text(column, row, value, ha="center", va="center", fontsize=5.5, color="w" if dark else "k")
+                long = len(value) > _LONG
+                text, size = (value.replace("_", "\n", 1), 4.2) if long else (value, 5.5)
+                look = {"fontsize": size, "color": "w" if dark else "k", "linespacing": 0.9}
+                left.text(column, row, text, ha="center", va="center", **look)
         shown = np.where(np.isfinite(cells), np.clip(cells, 1.0, _FAR), np.nan)
         image = left.imshow(shown, cmap="Blues", vmin=1.0, vmax=_FAR, aspect="auto", interpolation="nearest")
         left.set_yticks(range(len(names)), names, fontsize=7)
