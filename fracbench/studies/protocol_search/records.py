@@ -65,7 +65,8 @@ class TrialTable:
 
     def __init__(self, path: Path, settings: Settings) -> None:
         self.path, self._settings = path, settings
-        numbers = [(method, name, n) for name, method in settings.order() for n in NUMBERS]
+        methods = dict.fromkeys(method for method, _ in settings.points)
+        numbers = [(method, name, n) for name in settings.sequences for method in methods for n in NUMBERS]
         self._numbers = {" ".join(number): number for number in numbers}
         self._words = {s.name: {_word(value): value for value in s.values} for s in settings.switches}
         self._header = [*_FIRST, *self._words, *self._numbers]

@@ -123,9 +123,12 @@ class Settings:
         return tuple(dict.fromkeys([*self.first, *(sequence for _, sequence in self.points)]))
 
     def order(self, methods: Sequence[str] = ()) -> list[tuple[str, str]]:
-        """Return the sequences and methods, all or those of a stage, in the order in which they are computed."""
+        """Return the sequences and methods, all or those of a stage, in the order in which they are computed.
+
+        A method comes after another on all sequences: many configurations differ in the later method alone.
+        """
         known = dict.fromkeys(method for method, _ in self.points)
-        return [(name, m) for name in self.sequences for m in known if not methods or m in methods]
+        return [(name, m) for m in known for name in self.sequences if not methods or m in methods]
 
     def limit(self, least: float, part: float) -> float:
         """Return the distance at which a configuration ends after a part, in (0, 1], of its points.

@@ -129,7 +129,7 @@ def test_a_configuration_that_is_far_off_ends_early(tmp_path):
     assert {trial.stopped for trial in trials} == {False, True}
     for trial in trials:
         methods = trial.stage.split("+")
-        steps = [(sequence, m) for sequence in ("synthetic_flat", "synthetic_edge") for m in methods]
+        steps = [(sequence, m) for m in methods for sequence in ("synthetic_flat", "synthetic_edge")]
         found = list(dict.fromkeys((sequence, method) for method, sequence, _ in trial.logs))
         assert found == steps[: len(found)]
         assert trial.stopped == (len(found) < len(steps))
