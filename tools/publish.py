@@ -25,7 +25,7 @@ from fracbench.report.sources import COMMITTED, SUFFIXES, Sources
 FOLDERS = ("tables", "figures")
 PUBLISHED = (*PAPER, *EXPERIMENTS, "fluids")
 #: Experiments that take long: they are published where they were computed, else their copies stay.
-LONG = ("protocol_search",)
+LONG = ("protocol_search", "explained")
 #: The README's pictures that belong to no experiment, and the commands that write them.
 PICTURES = {
     "readme_alpha.png": ("sweep", "alpha=0:2:0.1", "region=grove2_A"),
@@ -42,7 +42,8 @@ def computed(results: Path, only: Sequence[str] = ()) -> list[Path]:
         path.relative_to(results)
         for folder in FOLDERS
         for path in sorted((results / folder).glob("*"))
-        if wanted.fullmatch(path.name) and not path.stem.endswith(endings) and "__" not in path.stem
+        if wanted.fullmatch(path.name) and not path.name.partition(".")[0].endswith(endings)
+        if "__" not in path.stem
     ]
 
 
@@ -63,7 +64,7 @@ def problems(results: Path, committed: Path, sources: Sources, only: Sequence[st
         if n_dirty:
             found.append(f"{name}: {n_dirty} points were computed from a commit with local changes")
     files = computed(results, only)
-    absent = sorted({*computed(committed, only or PUBLISHED)} - {*files})
+    absent = sorted({*computed(committed, only or (*PUBLISHED, "answer", "claims"))} - {*files})
     if absent:
         lacking = ", ".join(map(str, absent))
         found.append(f"{results}: lacks {lacking}; run make paper, make beyond and make fluids")

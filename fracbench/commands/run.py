@@ -144,12 +144,13 @@ def _search(experiment: Experiment, plan: Plan, jobs: int) -> None:
 def _judge(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], artefact: Artefact) -> None:
     """Judge the paper's claims by the points of an experiment, and add the verdicts to its artefact."""
     from fracbench.harness.run.tidy import tidy
-    from fracbench.report.claims.claims import count_lines
-    from fracbench.report.claims.further import judge_further, write_further
+    from fracbench.report.claims.claims import count_lines, write_claims
+    from fracbench.report.claims.further import judge_further
     from fracbench.studies.base import TABLES, file_stem
 
     judged = judge_further(tidy(plan, rows))
-    artefact.files += write_further(judged, file_stem(experiment.name, plan, plan.config.results / TABLES))
+    stem = file_stem(f"{experiment.name}_claims", plan, plan.config.results / TABLES)
+    artefact.files += write_claims(judged, stem)
     artefact.lines += count_lines(judged)
 
 

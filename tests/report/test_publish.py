@@ -148,3 +148,17 @@ def test_some_experiments_are_published_alone(folders):
 def test_an_unknown_experiment_is_not_published(monkeypatch):
     with pytest.raises(publish.InputError, match="fluid_s is not published"):
         publish.main(["fluid_s"])
+
+
+def test_what_takes_long_is_published_where_it_was_computed_and_kept_else(folders):
+    results, committed = folders
+    name = "tables/protocol_search_trials.csv.gz"
+    (committed / name).write_text("old")
+    assert publish.problems(results, committed, stored()) == []
+    assert publish.publish(results, committed) == 2
+    assert (committed / name).read_text() == "old"
+    (results / name).write_text("new")
+    (results / "tables/protocol_search_trials_synthetic.csv.gz").touch()
+    assert publish.publish(results, committed) == 1
+    assert (committed / name).read_text() == "new"
+    assert len([*committed.rglob("protocol_search*")]) == 1

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fracbench.report.claims.claims import Judged, evaluate, write_claims
+from fracbench.report.claims.claims import Judged, evaluate
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -31,8 +30,3 @@ def judge_further(table: pd.DataFrame) -> list[Judged]:
         return rows.assign(part=name) if len(rows) else None
 
     return evaluate(load, settings=tuple(dict.fromkeys(table["protocol"])))
-
-
-def write_further(judged: list[Judged], stem: Path) -> list[Path]:
-    """Write the verdicts beside the experiment's other tables; return the files."""
-    return write_claims(judged, stem.with_name(f"{stem.name}_claims"))

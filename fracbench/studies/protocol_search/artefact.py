@@ -65,10 +65,11 @@ def protocol_search(experiment: Experiment, plan: Plan, rows: Mapping[str, Row],
             text += [legend, tables.to_markdown(found[part])]
     notes = [*plan.notices, *tables.footnote(rows, ["published"])] if rows else plan.notices
     files = [tables.write_table(table, stem), tables.write_markdown(stem, *text, *notes)]
-    files += [tables.write_table(each, stem.with_name(f"{stem.name}_{part}")) for part, each in found.items()]
-    with atomic_path(stem.with_name(f"{stem.name}_trials.csv.gz")) as path:
+    beside = {part: file_stem(f"{experiment.name}_{part}", plan, stem.parent) for part in (*found, "trials")}
+    files += [tables.write_table(each, beside[part]) for part, each in found.items()]
+    files.append(beside["trials"].with_name(f"{beside['trials'].name}.csv.gz"))
+    with atomic_path(files[-1]) as path:
         path.write_bytes(compressed(kept.text(trials)))
-    files.append(stem.with_name(f"{stem.name}_trials.csv.gz"))
     if last is not None:
         drawn = by_methods["switches"][most], by_methods["values"][most]
         files += draw(file_stem(experiment.name, plan, results / FIGURES), value_grid, *drawn, last.least)
@@ -179,7 +180,7 @@ def _excluded(switches: pd.DataFrame) -> str:
 
 def trial_table(experiment: Experiment, plan: Plan, settings: Settings) -> TrialTable:
     """Return the table to which a search appends its trials."""
-    return TrialTable(plan.config.results / RUNS / f"{experiment.name}{plan.mark}_trials.csv", settings)
+    return TrialTable(plan.config.results / RUNS / f"{experiment.name}_trials{plan.mark}.csv", settings)
 
 
 def printed_numbers(plan: Plan) -> dict[tuple[str, str, str], float]:
