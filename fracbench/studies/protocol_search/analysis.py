@@ -7,7 +7,7 @@ switches and the shared ones. Two trials that differ in other switches are one c
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
@@ -80,6 +80,12 @@ class Question:
     def values(self, row: int) -> dict[str, Any]:
         """Return the values of all switches in a configuration."""
         return {switch.name: self.value(row, i) for i, switch in enumerate(self.switches)}
+
+    def row_of(self, values: Mapping[str, Any]) -> int | None:
+        """Return the whole configuration with these values of the switches, None if there is none."""
+        wanted = [s.values.index(v) if (v := values[s.name]) in s.values else -2 for s in self.switches]
+        rows = np.flatnonzero(self.whole & (self.places == wanted).all(axis=1))
+        return int(rows[0]) if len(rows) else None
 
     def forced(self, switch: int, place: int) -> float:
         """Return the least distance with a switch at a value, infinite if no whole configuration has it."""
@@ -224,14 +230,15 @@ def pair_table(asked: Question, most: int = 12) -> pd.DataFrame:
     return table.head(most).reset_index(drop=True)
 
 
-def half_table(asked: Question, names: Sequence[str]) -> pd.DataFrame:
+def half_table(asked: Question, names: Sequence[str], grid: Mapping[str, Any]) -> pd.DataFrame:
     """Return the distance on one half of the sequences of the run that is best on the other, for all halves.
 
-    The first row is the first half of the sequences `names`, the last row the other half.
+    The first row is the first half of the sequences `names`, the last row the other half. `grid` are the values of
+    the search's grid: its run, which no half has chosen, is measured on the same sequences.
     """
     import pandas as pd
 
-    logs = asked.logs[asked.order]
+    logs, usual = asked.logs[asked.order], asked.row_of(grid)
     of = np.array([names.index(name) for _, name, _ in asked.numbers])
     squares = np.array([np.square(logs[:, of == i]).mean(axis=1) for i in range(len(names))])
     records = []
@@ -239,12 +246,14 @@ def half_table(asked: Question, names: Sequence[str]) -> pd.DataFrame:
         rest = [i for i in range(len(names)) if i not in half]
         here, there = (np.sqrt(squares[list(part)].mean(axis=0)) for part in (half, rest))
         chosen = int(here.argmin())
+        mine = [] if usual is None else np.square(asked.logs[usual])[np.isin(of, rest)]
         records.append(
             {
                 "chosen on": ", ".join(names[i] for i in half),
                 "distance there": float(here[chosen]),
                 "distance on the others": float(there[chosen]),
                 "least on the others": float(there.min()),
+                "grid's run on the others": float(np.sqrt(np.mean(mine))) if len(mine) else math.nan,
                 "ratio": float(there[chosen] / here[chosen]),
             }
         )

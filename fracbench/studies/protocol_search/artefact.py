@@ -54,7 +54,7 @@ def protocol_search(experiment: Experiment, plan: Plan, rows: Mapping[str, Row],
     last = asked.get(most)
     if last is not None:
         sequences = list(dict.fromkeys(planned.labels["sequence"] for planned in plan.points))
-        found["halves"] = analysis.half_table(last, sequences)
+        found["halves"] = analysis.half_table(last, sequences, settings.usual)
         found["numbers"] = analysis.number_table(last, printed)
         lines += tellings(last, by_methods["switches"][most], found["halves"], found["numbers"])
     table = best_table(trials, settings)
@@ -99,8 +99,8 @@ _LEGENDS = {
     ),
     "halves": (
         "## Halves\n\n"
-        "The run that is best on four sequences, its distance there and on the other four, and the least distance "
-        "of any run on these."
+        "The run that is best on four sequences, its distance there and on the other four, the least distance "
+        "of any run on these, and that of the grid's own run."
     ),
     "numbers": (
         "## Numbers\n\n"
@@ -157,6 +157,13 @@ def tellings(asked: Question, switches: pd.DataFrame, halves: pd.DataFrame, numb
             f"and {other['distance on the others']:.3f}. Over all {len(halves)} halves the ratio is "
             f"{ratio.median():.2f} in the median, from {ratio.min():.2f} to {ratio.max():.2f}."
         )
+        usual = halves["grid's run on the others"]
+        if usual.notna().all():
+            nearer = int((halves["distance on the others"] < usual).sum())
+            found.append(
+                f"On the other half, the chosen run is nearer than the grid's own in {nearer} of {len(halves)} "
+                f"cases; medians {halves['distance on the others'].median():.3f} and {usual.median():.3f}."
+            )
     left = numbers[~numbers["explained"]]
     named = ", ".join(f"{row['sequence']} {row['method']} {row['metric'].upper()}" for _, row in left.iterrows())
     found.append(f"Numbers that none of the best runs explains: {named or 'none'}.")

@@ -136,7 +136,7 @@ def test_pairs_trade_off_as_planted_and_no_others():
 def test_the_run_chosen_on_one_half_is_measured_on_the_other():
     settings, _ = studied()
     asked = analysis.question(planted(settings), settings, ["tvl1"])
-    table = analysis.half_table(asked, SEQUENCES)
+    table = analysis.half_table(asked, SEQUENCES, settings.usual)
     assert list(table["chosen on"]) == SEQUENCES
     on_edge = math.sqrt((2 * 0.02**2 + 0.2**2) / 3)  # tau = 0.1, and the SDAE that nothing meets
     assert table["distance there"].tolist() == pytest.approx([on_edge, 0.02])
@@ -144,6 +144,10 @@ def test_the_run_chosen_on_one_half_is_measured_on_the_other():
     assert table["distance on the others"].tolist() == pytest.approx([0.2, on_flat])
     assert table["least on the others"].tolist() == pytest.approx([0.02, on_edge])
     assert table["ratio"].tolist() == pytest.approx([0.2 / on_edge, on_flat / 0.02])
+    assert table["grid's run on the others"].isna().all()  # n_warps=5 is not among the values
+    grid = {**settings.usual, "n_warps": 2, "max_iter": 2, "tvl1.tau": 0.25}
+    usual = analysis.half_table(asked, SEQUENCES, grid)["grid's run on the others"]
+    assert usual.tolist() == pytest.approx([0.05, math.sqrt((2 * 0.05**2 + 0.2**2) / 3)])
 
 
 def test_numbers_that_no_run_explains_are_named_with_their_floor():
@@ -158,7 +162,7 @@ def test_numbers_that_no_run_explains_are_named_with_their_floor():
     assert not others["explained"].any()  # the best run is at exp(0.05), just outside 5 %
     assert others["floor"].to_numpy() == pytest.approx(math.exp(0.02))
     switches = analysis.switch_table(asked)
-    lines = tellings(asked, switches, analysis.half_table(asked, SEQUENCES), table.reset_index())
+    lines = tellings(asked, switches, analysis.half_table(asked, SEQUENCES, settings.usual), table.reset_index())
     assert lines[0].startswith(f"The nearest run is at a distance of {asked.least:.4f}: of 6 numbers 0 are within")
     assert "warp=bicubic" in lines[1] and "tvl1.tau=0.25" in lines[1]
     assert "synthetic_edge tvl1 SDAE" in lines[-1]
