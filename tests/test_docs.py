@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gzip
+import math
 import re
 import shlex
 import warnings
@@ -20,6 +22,7 @@ from fracbench.harness.config.paths import checkout
 HALF = 0.006  # documents give two digits
 
 ROOT = checkout()
+TABLES = (ROOT or Path()) / "results/committed/tables"
 pytestmark = pytest.mark.skipif(ROOT is None, reason="documents and tables are those of a checkout")
 
 
@@ -71,6 +74,68 @@ def test_the_scenes_of_two_parts_are_those_of_the_stored_table():
     for scene, cells in told.items():
         first = [numbers(cell)[0] for cell in cells]
         assert first == pytest.approx([*stored.loc[(scene, 1)], *stored.loc[(scene, 3)]], abs=HALF), scene
+
+
+def test_the_switches_of_the_search_are_those_of_the_stored_search():
+    stored = pd.read_csv(TABLES / "protocol_search_switches.csv", dtype={"best value": str})
+    both = stored[stored["methods"] == "tvl1+tvl1_sb"].set_index("switch")
+    alone = stored[stored["methods"] != "tvl1+tvl1_sb"].drop_duplicates("switch").set_index("switch")
+    told = {row[0].strip("`"): row[1:] for row in rows(document()) if len(row) == 5 and row[0].startswith("`")}
+    assert set(both.index[both["verdict"] == "told"]) <= set(told)
+    for switch, (value, with_both, with_one, verdict) in told.items():
+        assert (value, verdict) == (both.loc[switch, "best value"], both.loc[switch, "verdict"])
+        for cell, table in ((with_both, both), (with_one, alone)):
+            distance = table.loc[switch, "least distance with another"]
+            assert cell == ("none ran" if math.isinf(distance) else f"{distance:.3f}"), switch
+
+
+def test_what_the_document_says_of_the_search_is_what_is_stored():
+    text = " ".join(document().split())
+    with gzip.open(TABLES / "protocol_search_trials.csv.gz", "rt") as file:
+        trials = pd.read_csv(file, dtype=str, keep_default_na=False)
+    switches = list(trials.columns[4:43])
+    assert f"searches {len(switches)} switches" in text and switches[-1] == "tvl1_sb.stencil_border"
+    logs = trials[trials.columns[43:]].apply(pd.to_numeric)
+    count = logs.notna().sum(axis=1)
+    whole = count == trials["stage"].str.count("tvl1") * 24
+    distinct = len(trials.drop_duplicates(["stage", *switches]))
+    said = f"tried {len(trials)} configurations, of which {distinct} are distinct; {(~whole).sum()} ended early"
+    assert said in text
+    distance = (logs**2).mean(axis=1) ** 0.5
+    joint = whole & (trials["stage"] == "tvl1+tvl1_sb")
+    best = distance[joint].idxmin()
+    within = [int((logs.loc[best].abs() <= math.log(1 + p)).sum()) for p in (0.05, 0.1)]
+    said = f"a distance of {distance[best]:.3f}, where `published` has 0.121: "
+    assert f"{said}{within[0]} of the 48 numbers are within 5 %, {within[1]} within 10 %" in text
+    first = [column for column in logs if column.startswith("tvl1 ")]
+    alone = (logs[first].dropna() ** 2).mean(axis=1) ** 0.5
+    assert f"TV-L1 alone comes to {alone.min():.3f}" in text
+
+
+def test_the_halves_that_the_document_gives_are_the_stored_ones():
+    text = " ".join(document().split())
+    halves = pd.read_csv(TABLES / "protocol_search_halves.csv")
+    first, last = halves.iloc[0], halves.iloc[-1]
+    assert (
+        f"has {first['distance there']:.3f} there and {first['distance on the others']:.3f} on the other" in text
+    )
+    assert f"has {last['distance there']:.3f} there and {last['distance on the others']:.3f} on the first" in text
+    usual, ours = halves["grid's run on the others"], halves["distance on the others"]
+    assert f"the ratio is {halves['ratio'].median():.2f} in the median" in text
+    said = (
+        f"in {(ours < usual).sum()} of {len(halves)} cases (medians {ours.median():.3f} and {usual.median():.3f})"
+    )
+    assert said in text
+
+
+def test_the_numbers_that_no_run_explains_are_counted():
+    numbers = pd.read_csv(TABLES / "protocol_search_numbers.csv")
+    text = " ".join(document().split())
+    assert f"but {(~numbers['explained']).sum()} of the {len(numbers)} by none of the nearest 1 %" in text
+    assert numbers["floor"].max() <= 1.03
+    worst = numbers.loc[(numbers["ratio"] - 1.0).abs().idxmax()]
+    assert (worst["sequence"], worst["method"], worst["metric"]) == ("rubberwhale", "tvl1_sb", "aepe")
+    assert f"{100 * (worst['ratio'] - 1):.0f} % too large" in text
 
 
 def document() -> str:
