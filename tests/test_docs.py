@@ -10,12 +10,14 @@ import warnings
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
 from fracbench import load_sequence
 from fracbench.commands.options import build_parser
 from fracbench.errors import InputError
+from fracbench.harness.config.compose import load_config
 from fracbench.harness.config.grid import parse_overrides
 from fracbench.harness.config.paths import checkout
 
@@ -110,6 +112,48 @@ def test_what_the_document_says_of_the_search_is_what_is_stored():
     first = [column for column in logs if column.startswith("tvl1 ")]
     alone = (logs[first].dropna() ** 2).mean(axis=1) ** 0.5
     assert f"TV-L1 alone comes to {alone.min():.3f}" in text
+
+
+def test_the_protocol_explained_is_the_nearest_run_that_a_protocol_can_be():
+    with gzip.open(TABLES / "protocol_search_trials.csv.gz", "rt") as file:
+        trials = pd.read_csv(file, dtype=str, keep_default_na=False)
+    logs = trials[trials.columns[43:]].apply(pd.to_numeric)
+    able = (trials["score"] == "frame") & (trials["margin"] == "0") & logs.notna().all(axis=1)
+    able &= trials["tvl1.sweeps"] == trials["tvl1_sb.sweeps"]
+    distance = ((logs**2).mean(axis=1) ** 0.5)[able]
+    run = trials.loc[distance.idxmin()]
+    params = load_config({"protocol": "explained"}).params
+    for switch in trials.columns[4:43].drop(["score", "margin", "tvl1.tau"]):
+        value = params.as_dict()[switch.rpartition(".")[2]]
+        word = "none" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
+        assert word == run[switch] or float(word) == float(run[switch]), switch
+    assert f"`explained`, at a distance of {distance.min():.4f}" in " ".join(document().split())
+    again = pd.read_csv(TABLES / "explained.csv")["ratio"]
+    assert (np.log(again) ** 2).mean() ** 0.5 == pytest.approx(distance.min(), abs=2e-4)
+    within = int((np.log(again).abs() <= math.log(1.05)).sum())
+    assert f"{within} numbers are within 5 %" in " ".join(document().split())
+
+
+def test_the_verdicts_under_explained_are_the_stored_ones():
+    text = " ".join(document().split())
+    counts, alphas = [], []
+    for name in ("explained_claims", "claims"):
+        table = pd.read_csv(TABLES / f"{name}.csv")
+        table = table[table["protocol"] == ("published" if name == "claims" else "explained")]
+        words = table["verdict"].value_counts()
+        counts.append([int(words.get(word, 0)) for word in ("holds", "holds in part", "does not hold")])
+        words = table[table["id"].str.contains("-alpha-(?:aae|aepe)$")]["verdict"].value_counts()
+        alphas.append([int(words.get(word, 0)) for word in ("holds", "holds in part")])
+    (holds, part, fails), published = counts[0], counts[1]
+    said = f"of 39 claims {holds} hold, {part} hold in part and {fails} do not; under `published`"
+    assert f"{said} {published[0]}, {published[1]} and {published[2]}" in text
+    said = "12 best alphas, region by error, {} holds and {} hold in part (`published`: {} and {})"
+    assert said.format(*alphas[0], *alphas[1]) in text
+    evidence = pd.read_csv(TABLES / "explained_claims.csv").set_index("id")["evidence"]
+    assert evidence["lambda-sb-best"].startswith("0 of 12 curves have their minimum from 3 to 10")
+    assert "the minima lie at lambda_SB 0.1 to 1." in evidence["lambda-sb-best"]
+    assert "Of 55 pairs of lambda and theta, TV-L1-SB has the smaller error at 0 %" in evidence["general-theta"]
+    assert "Of 54 pairs of lambda and theta, TV-L1-SB has the smaller error at 7 %" in evidence["general-lambda"]
 
 
 def test_the_halves_that_the_document_gives_are_the_stored_ones():
