@@ -28,7 +28,7 @@ VERDICTS = (HOLDS, IN_PART, FAILS, UNKNOWN)
 #: The protocols of the paper, with a description in a line.
 PROTOCOLS = {
     "reference": "the paper's model, computed correctly and to convergence",
-    "published": "the run nearest to the printed Table 2: coarse flow halved on upsampling, few iterations",
+    "published": "a run near the printed Table 2, found by hand: coarse flow halved on upsampling, few iterations",
     "as_printed": "Algorithms 1 and 2 to the letter: the linearisation point u0 is never updated",
 }
 #: The reference under ``boundary=reflect`` and with pixels around the region: no pull to 0 at its edges.
