@@ -158,6 +158,23 @@ def test_a_done_row_is_never_replaced_by_a_failed_one(store: Store, first: str, 
     assert store.rows() == [new if written else old]
 
 
+def test_many_rows_are_put_as_each_of_them_would_be(store: Store) -> None:
+    store.put(a_row("a", seconds=1.0))
+    store.put_many([a_failure("a"), a_failure("b"), a_row("b", seconds=2.0), a_row("c")])
+    assert {row.key: row.status for row in store.rows()} == {"a": "done", "b": "done", "c": "done"}
+    assert store.get("a").seconds == 1.0 and store.get("b").seconds == 2.0
+
+
+def test_many_rows_are_put_all_or_none(store: Store) -> None:
+    def rows():
+        yield a_row("a")
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        store.put_many(rows())
+    assert store.rows() == []
+
+
 def test_get_many_beyond_one_query(store: Store) -> None:
     keys = [f"{n:04d}" for n in range(1203)]
     for key in keys[::100]:
