@@ -17,7 +17,8 @@ def sources(tmp_path):
     return Sources(tmp_path, ("dataset=synthetic", "parallel.jobs=1"))
 
 
-def test_without_files_it_names_the_command(sources):
+def test_without_files_it_names_the_command(sources, monkeypatch):
+    monkeypatch.setattr("fracbench.report.sources.checkout", lambda: None)  # which has copies
     missing = [block for block in fluids(sources).blocks if isinstance(block, Missing)]
     assert [block.what for block in missing] == ["the experiment fluids"]
     assert "fracbench experiment fluids" in missing[0].command
