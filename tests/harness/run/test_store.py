@@ -160,14 +160,15 @@ def test_a_done_row_is_never_replaced_by_a_failed_one(store: Store, first: str, 
 
 def test_many_rows_are_put_as_each_of_them_would_be(store: Store) -> None:
     store.put(a_row("a", seconds=1.0))
-    store.put_many([a_failure("a"), a_failure("b"), a_row("b", seconds=2.0), a_row("c")])
+    rows = [a_failure("a"), a_failure("b"), a_row("b", seconds=2.0), a_row("c")]
+    store.put_many([encode(row) for row in rows])
     assert {row.key: row.status for row in store.rows()} == {"a": "done", "b": "done", "c": "done"}
     assert store.get("a").seconds == 1.0 and store.get("b").seconds == 2.0
 
 
 def test_many_rows_are_put_all_or_none(store: Store) -> None:
     def rows():
-        yield a_row("a")
+        yield encode(a_row("a"))
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
