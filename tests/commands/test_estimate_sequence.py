@@ -207,9 +207,11 @@ def test_ctrl_c_keeps_what_is_finished(work):
         write_image(work / f"clip/f{i}.png", frame(i, (128, 160)))
     words = [sys.executable, "-m", "fracbench", "estimate-sequence", "clip", "-o", "out", "n_warps=40"]
     environment = {**os.environ, "PYTHONPATH": str(Path(fracbench.__file__).parents[1])}
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a process in the background ignores it
     running = subprocess.Popen(
         [*words, "epsilon=0"], cwd=work, env=environment, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
+    signal.signal(signal.SIGINT, before)
     deadline = time.monotonic() + 120
     while len([*work.glob("out/f*.flo")]) < 3 and time.monotonic() < deadline:
         time.sleep(0.05)
