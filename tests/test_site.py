@@ -120,11 +120,14 @@ def test_a_page_works_in_a_browser(page, width, tmp_path):
     (site / "frame.html").write_text(frame, encoding="utf-8")
     flags = (
         "--headless --no-sandbox --disable-gpu --no-first-run --disable-background-networking --disable-sync "
-        f"--window-size=1400,1000 --virtual-time-budget=15000 --dump-dom --user-data-dir={tmp_path / 'profile'}"
+        f"--window-size=1400,1000 --dump-dom --user-data-dir={tmp_path / 'profile'}"
     )
     command = [CHROMIUM, *flags.split(), (site / "frame.html").as_uri()]
-    for _ in range(5):  # on a busy machine virtual time may run out while images are decoded
-        done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    for attempt in range(6):  # virtual time may run out while images are decoded: then there is more of it
+        budget = f"--virtual-time-budget={15_000 * 4**attempt}"
+        done = subprocess.run(
+            [*command[:-1], budget, command[-1]], capture_output=True, text=True, timeout=120, check=False
+        )
         read = re.search(r'<pre id="found">(.+?)</pre>', done.stdout, re.DOTALL)
         if read:
             break
