@@ -24,7 +24,6 @@ from typing import Any
 import common
 
 from fracbench.commands.bench import results_stem, write_results
-from fracbench.commands.parser import Parser
 from fracbench.errors import FracbenchError
 from fracbench.harness.run import sweep
 from fracbench.harness.run.batches import Batch
@@ -279,8 +278,7 @@ def measure(arguments: argparse.Namespace) -> None:
 
 def main(argv: list[str]) -> int:
     """Run the benchmark and return its exit code."""
-    parser = Parser(description=__doc__)
-    parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="such as paths.results=FOLDER")
+    parser = common.parser(__doc__, repeats=False)
     parser.add_argument("--workers", type=int, default=1000, metavar="N", help="simulated workers (default: 1000)")
     parser.add_argument(
         "--points", type=int, default=100_000, metavar="N", help="about so many (default: 100,000)"

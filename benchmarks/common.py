@@ -27,8 +27,8 @@ def texture_pair(shape: tuple[int, int]) -> tuple[NDArray[np.uint8], NDArray[np.
     return frame, np.roll(frame, (1, 2), axis=(0, 1))
 
 
-def parser(description: str | None, *, against: str = "", default: str = "") -> Parser:
-    """Return the command line of a benchmark: overrides, ``--repeats``, and ``--threads`` or ``--jobs``.
+def parser(description: str | None, *, against: str = "", default: str = "", repeats: bool = True) -> Parser:
+    """Return the command line of a benchmark: overrides, ``--repeats`` if asked for, ``--threads`` or ``--jobs``.
 
     `against` is ``threads`` or ``jobs``, a number that is compared with one; the overrides in `default` apply if
     none are given.
@@ -36,7 +36,8 @@ def parser(description: str | None, *, against: str = "", default: str = "") -> 
     made = Parser(description=description)
     told = f" (default: {default})" if default else ", such as paths.results=FOLDER"
     made.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help=f"overrides{told}")
-    made.add_argument("--repeats", type=int, default=5, metavar="N", help="timed rounds (default: 5)")
+    if repeats:
+        made.add_argument("--repeats", type=int, default=5, metavar="N", help="timed rounds (default: 5)")
     if against:
         text = f"number of {against} that is compared with one (default: 2)"
         made.add_argument(f"--{against}", type=int, default=2, metavar="N", help=text)

@@ -13,7 +13,6 @@ import numpy as np
 
 from fracbench.api import estimate_flow
 from fracbench.commands.bench import results_stem, write_results
-from fracbench.commands.parser import Parser
 from fracbench.data.datasets.registry import load_sequence
 
 FLOWS = ("lamb_oseen", "mixing_layer", "solenoidal")
@@ -48,9 +47,7 @@ def measure(arguments: argparse.Namespace) -> None:
 
 def main(argv: list[str]) -> int:
     """Run the benchmark and return its exit code."""
-    parser = Parser(description=__doc__)
-    parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="paths.results=FOLDER")
-    return common.run(measure, parser, argv)
+    return common.run(measure, common.parser(__doc__, repeats=False), argv)
 
 
 if __name__ == "__main__":

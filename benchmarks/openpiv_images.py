@@ -18,7 +18,6 @@ from fracbench.api import estimate_flow
 from fracbench.commands import console
 from fracbench.commands.bench import results_stem, write_results
 from fracbench.commands.field_output import Units, to_field
-from fracbench.commands.parser import Parser
 from fracbench.data.files import atomic_path, read_image
 from fracbench.data.gray import to_gray
 from fracbench.figures.fields import arrow_panels
@@ -95,9 +94,7 @@ def measure(arguments: argparse.Namespace) -> None:
 
 def main(argv: list[str]) -> int:
     """Run the comparison and return its exit code."""
-    parser = Parser(description=__doc__)
-    parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="paths.results=FOLDER")
-    return common.run(measure, parser, argv)
+    return common.run(measure, common.parser(__doc__, repeats=False), argv)
 
 
 if __name__ == "__main__":

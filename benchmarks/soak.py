@@ -30,7 +30,6 @@ import numpy as np
 
 from fracbench.commands import cli, console
 from fracbench.commands.bench import results_stem, write_results
-from fracbench.commands.parser import Parser
 from fracbench.errors import FracbenchError, InputError
 from fracbench.harness.run import pool
 from fracbench.harness.run.store import STORE, Store
@@ -284,8 +283,7 @@ def main(argv: Sequence[str]) -> int:
         return as_sweep(Path(argv[1]), Path(argv[2]), list(argv[3:]))
     if not Path("/proc/self/status").exists() or not hasattr(os, "killpg"):
         raise InputError("soak needs Linux")
-    parser = Parser(description=__doc__)
-    parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE", help="such as paths.results=FOLDER")
+    parser = common.parser(__doc__, repeats=False)
     parser.add_argument("--points", type=int, default=20_000, metavar="N", help="default: 20,000, about")
     parser.add_argument("--every", type=float, default=20.0, metavar="S", help="between kills (default: 20)")
     return common.run(measure, parser, argv)
