@@ -226,9 +226,11 @@ def _say_settings(plan: Plan) -> None:
 
 def say_failures(report: sweep.Report) -> None:
     """Print how many points are not done, if any, and how to try them again."""
-    if report.failed:
+    failed = report.failed
+    if failed:
+        first = report.rows[failed[0]].error
         console.complain(
-            f"{len(report.failed)} of {len(report.rows)} points are not done (first: {report.failed[0].error}); "
+            f"{len(failed)} of {len(report.rows)} points are not done (first: {first}); "
             "the same command with --rerun failed tries them again"
         )
 

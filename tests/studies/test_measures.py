@@ -98,7 +98,7 @@ def test_a_measure_that_fails_is_a_row_and_an_empty_cell(small, store, unwritten
     )
     plan = dataclasses.replace(plan, points=broken)
     report = sweep.run(plan, store, jobs=1)
-    (failed,) = report.failed
+    (failed,) = map(report.rows.__getitem__, report.failed)
     assert failed.status == "failed" and "unexpected keyword argument 'limits'" in failed.error
     made = render(small, plan, report.rows, plan.config.results)
     text = next(path for path in made.files if path.suffix == ".md").read_text(encoding="utf-8")

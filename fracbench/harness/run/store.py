@@ -144,16 +144,16 @@ class Store:
             found.update((row[0], row) for row in rows)
         return found
 
-    def statuses(self, keys: Iterable[str]) -> dict[str, str]:
-        """Return the status of the row of each key that has one."""
-        found: dict[str, str] = {}
+    def statuses(self, keys: Iterable[str]) -> Iterator[tuple[str, str]]:
+        """Yield each key that has a row, and its status: one object for all rows of a status."""
         if self.is_empty():
-            return found
+            return
+        known = {status: status for status in STATUSES}
         with self._translated():
             for chunk in _chunks(keys):
                 marks = ", ".join("?" for _ in chunk)
-                found.update(self._db.execute(f"SELECT key, status FROM points WHERE key IN ({marks})", chunk))
-        return found
+                found = self._db.execute(f"SELECT key, status FROM points WHERE key IN ({marks})", chunk)
+                yield from ((key, known.get(status, status)) for key, status in found)
 
     def is_empty(self) -> bool:
         """Tell whether there is no row."""

@@ -8,7 +8,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sized
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, BinaryIO, Self
 
@@ -60,10 +60,9 @@ class Report:
         return StoredRows(self.store, self.statuses)
 
     @property
-    def failed(self) -> list[Row]:
-        """Rows that are not ``done``."""
-        rows = self.rows
-        return [rows[key] for key, status in self.statuses.items() if status not in (None, "done")]
+    def failed(self) -> list[str]:
+        """Keys of the rows that are not ``done``."""
+        return [key for key, status in self.statuses.items() if status not in (None, "done")]
 
 
 def missing(plan: Plan, store: Store, *, rerun_failed: bool = False) -> tuple[Report, Mapping[str, Point]]:
@@ -71,16 +70,15 @@ def missing(plan: Plan, store: Store, *, rerun_failed: bool = False) -> tuple[Re
     if not store.readonly:
         _take_loose_rows(store)
     points = plan.unique()
-    stored = store.statuses(points)
     report, todo = Report(store.path, dict.fromkeys(points)), []
-    identities = store.identities()
-    for key in points:
-        status = stored.get(key)
-        if status is not None and (status == "done" or not rerun_failed):
-            report.statuses[key] = status
+    report.statuses.update(store.statuses(points))
+    identities = cache(store.identities)  # not read where all points are stored
+    for key, status in report.statuses.items():
+        if status == "done" or (status is not None and not rerun_failed):
             report.reused += 1
         else:
             todo.append(key)
+            report.statuses[key] = None
             report.reasons[_reason(status, key, points, store, identities)] += 1
     if isinstance(points, UniquePoints):
         return report, points.only(todo)
@@ -90,9 +88,7 @@ def missing(plan: Plan, store: Store, *, rerun_failed: bool = False) -> tuple[Re
 def count_missing(plan: Plan, store: Store, *, rerun_failed: bool = False) -> tuple[int, list[tuple[Point, int]]]:
     """Return the number of distinct points, and those to compute: one for all alike, with their number."""
     if len(plan.points) < store.size():
-        stored = {
-            key for key, status in store.statuses(plan.unique()).items() if status == "done" or not rerun_failed
-        }
+        stored = {key for key, status in store.statuses(plan.unique()) if status == "done" or not rerun_failed}
     else:
         stored = set(store.keys("done" if rerun_failed else None))
     total, todo = 0, []
@@ -111,13 +107,15 @@ def _take_loose_rows(store: Store) -> None:
         path.unlink(missing_ok=True)
 
 
-def _reason(status: str | None, key: str, points: Mapping[str, Point], store: Store, identities: set[str]) -> str:
+def _reason(
+    status: str | None, key: str, points: Mapping[str, Point], store: Store, identities: Callable[[], set[str]]
+) -> str:
     if status is not None:
         return f"{status} before"
-    if not identities:
+    if not identities():
         return "new"
     identity = points.identity(key) if isinstance(points, UniquePoints) else points[key].identity
-    if identity not in identities:
+    if identity not in identities():
         return "new"
     point, latest = points[key], store.by_identity(identity)[-1]
     if latest.solver_version != SOLVER_VERSION:

@@ -514,7 +514,7 @@ def test_a_block_with_a_value_of_a_wrong_type_is_refused(store: Store, column: i
 def test_a_failed_row_of_a_block_does_not_take_the_place_of_a_finished_one(store: Store) -> None:
     store.put(a_row("a"))
     store.put_many([encode(a_failure("a")), encode(a_failure("b"))])
-    assert store.statuses(["a", "b", "c"]) == {"a": "done", "b": "crashed"}
+    assert dict(store.statuses(["a", "b", "c"])) == {"a": "done", "b": "crashed"}
 
 
 def test_rows_are_read_when_they_are_asked_for(path: Path, monkeypatch) -> None:

@@ -185,7 +185,7 @@ def test_a_point_that_fails_is_a_row_and_the_others_go_on(store, monkeypatch):
     made = plan("alpha=0:2:0.5")
     report = sweep.run(made, store, jobs=2)
     assert report.computed == 5
-    (failed,) = report.failed
+    (failed,) = map(report.rows.__getitem__, report.failed)
     assert (failed.status, failed.error, failed.result) == ("failed", "made to fail", {})
     rows = by_alpha(made, report)
     assert {alpha for alpha, row in rows.items() if row.status == "done"} == {"0", "0.5", "1.5", "2"}
