@@ -25,6 +25,7 @@ import common
 
 from fracbench.commands.bench import results_stem, write_results
 from fracbench.errors import FracbenchError
+from fracbench.harness.config.experiment import MAIN, Experiment
 from fracbench.harness.run import sweep
 from fracbench.harness.run.batches import Batch
 from fracbench.harness.run.dask import DaskPool
@@ -33,6 +34,7 @@ from fracbench.harness.run.point import Outcome
 from fracbench.harness.run.pool import Pool
 from fracbench.harness.run.provenance import peak_mib, reset_peak
 from fracbench.harness.run.store import Store, Values, encode
+from fracbench.studies.sweep import sweep as write_artefact
 
 _ROWS, _ENDED = 0, 1
 _SMALL = ("sequence=synthetic_flat", "n_scales=1", "n_warps=1", "max_iter=1")
@@ -220,7 +222,7 @@ def grid_of(points: int) -> list[str]:
 
 
 def lap(plan: Plan, workers: int, open_pool: Callable[[Store], Pool]) -> dict[str, Any]:
-    """Run a plan into an empty store, and return this process's share and the seconds."""
+    """Run a plan into an empty store, write its table, and return this process's share, seconds and memory."""
     with (
         tempfile.TemporaryDirectory(prefix="fracbench-", dir=Path.cwd()) as folder,
         Store(Path(folder) / "store.sqlite") as store,
@@ -230,6 +232,12 @@ def lap(plan: Plan, workers: int, open_pool: Callable[[Store], Pool]) -> dict[st
         started, used = time.perf_counter(), time.process_time()
         report = sweep.run(plan, store, jobs=1, pool=pool)
         seconds, used = time.perf_counter() - started, time.process_time() - used
+        peak = peak_mib()
+        store.close()
+        reset_peak()
+        started = time.perf_counter()
+        write_artefact(Experiment("cluster", "", "sweep", {MAIN: ()}), plan, report.rows, Path(folder))
+        table_seconds, table_peak = time.perf_counter() - started, peak_mib()
     if report.computed != len(plan.unique()):
         raise FracbenchError(f"{report.computed} points were computed, not {len(plan.unique())}")
     return {
@@ -237,7 +245,9 @@ def lap(plan: Plan, workers: int, open_pool: Callable[[Store], Pool]) -> dict[st
         "points": report.computed,
         "seconds": seconds,
         "parent_ms": 1e3 * used / report.computed,
-        "peak_mib": peak_mib(),
+        "peak_mib": peak,
+        "table_s": table_seconds,
+        "table_mib": table_peak,
     }
 
 

@@ -119,6 +119,11 @@ class Method:
         """Its parameters, as configurations and the command line spell them."""
         return tuple(public_name(each.name) for each in dataclasses.fields(self.params))
 
+    @cached_property
+    def _used(self) -> list[tuple[str, str]]:
+        fields = {public_name(each.name): each.name for each in dataclasses.fields(self.params)}
+        return [(name, fields[name]) for name in sorted(self.uses)]
+
     @property
     def stamp(self) -> str:
         """Package and version, as they enter the key of a result; empty for a method that has neither."""
@@ -141,8 +146,7 @@ class Method:
 
     def values(self, params: Any) -> dict[str, Any]:
         """Return the values that a result depends on, sorted by public name."""
-        values = {public_name(name): value for name, value in fields_of(params).items()}
-        return {name: values[name] for name in sorted(self.uses)}
+        return {name: getattr(params, field) for name, field in self._used}
 
     def replace(self, params: Any, changes: Mapping[str, Any], where: str = "") -> Any:
         """Return a copy of parameters with some values changed.

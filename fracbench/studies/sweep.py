@@ -28,7 +28,7 @@ def sweep(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: 
     stem = file_stem(experiment.name, plan, results / "sweeps")
     artefact = Artefact()
     names, numbers = split_varying(table, plan)
-    done = table[table["status"] == "done"]
+    done = table.loc[table["status"] == "done", [*names, *numbers, *METRICS, "n_pixels"]]
     unknown = bool((done["n_pixels"] == 0).all())  # the true flow; also where nothing is done
     if numbers and not unknown:
         best = best_values(done, names, numbers)
@@ -90,6 +90,8 @@ def split_varying(table: pd.DataFrame, plan: Plan) -> tuple[list[str], list[str]
 def _sweep_figure(title: str, table: pd.DataFrame, names: list[str], numbers: list[str]) -> Any:
     from fracbench.figures.curves import alpha_curves, heat_map
 
+    if len(numbers) not in (1, 2) or (len(numbers) == 2 and names):
+        return None
     # A point has no place on an axis that its method does not depend on, and one place only on the others.
     table = table.dropna(subset=numbers).drop_duplicates([*names, *numbers, "key"])
     if not table["aepe"].notna().any():
@@ -101,9 +103,7 @@ def _sweep_figure(title: str, table: pd.DataFrame, names: list[str], numbers: li
         note = "where the operator is the identity" if numbers == ["alpha"] else ""
         logx = _is_logarithmic(table[numbers[0]])
         return alpha_curves(table, x=numbers[0], hue=hue, title=title, logx=logx, zero_note=note)
-    if len(numbers) == 2 and not names:
-        return heat_map(table, x=numbers[0], y=numbers[1], title=title)
-    return None
+    return heat_map(table, x=numbers[0], y=numbers[1], title=title)
 
 
 def _is_logarithmic(values: pd.Series) -> bool:

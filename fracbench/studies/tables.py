@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fracbench.data.files import write_text
+from fracbench.data.files import atomic_path, write_text
 from fracbench.evaluation.metrics import CONVENTIONS
 from fracbench.harness.run.store import Row
 from fracbench.model import SOLVER_VERSION
@@ -38,7 +38,10 @@ def _origin(row: Row) -> str:
 
 def write_table(table: pd.DataFrame, stem: Path) -> Path:
     """Write a table as CSV, with all digits, to a path given without suffix."""
-    return write_text(table.to_csv(index=False, lineterminator="\n"), stem.with_name(stem.name + ".csv"))
+    path = stem.with_name(f"{stem.name}.csv")
+    with atomic_path(path) as temporary:  # in parts: the text of a million rows would take 0.5 GiB
+        table.to_csv(temporary, index=False, lineterminator="\n")
+    return path
 
 
 def write_markdown(stem: Path, *paragraphs: str) -> Path:

@@ -90,6 +90,12 @@ class Plan:
             indices.setdefault(key, index)
         return UniquePoints(self.points, indices)
 
+    def keys(self) -> Iterator[str]:
+        """Yield the key of each point, in order."""
+        if isinstance(self.points, GridPoints):
+            return self.points.keys()
+        return (planned.point.key for planned in self.points)
+
     def groups(self) -> Iterator[tuple[Point, int, Iterable[str]]]:
         """Yield a point for all that cost the same, how many distinct points these are, and their keys."""
         if isinstance(self.points, GridPoints):
@@ -99,8 +105,11 @@ class Plan:
 
     def labels(self, name: str) -> set[str]:
         """Return the distinct values of a label."""
-        points = self.points.frames if isinstance(self.points, GridPoints) else self.points
-        return {planned.labels[name] for planned in points}
+        return {planned.labels[name] for planned in self.labelled()}
+
+    def labelled(self) -> Sequence[PlannedPoint]:
+        """Return points that have all combinations of labels: of a grid, those of its frames."""
+        return self.points.frames if isinstance(self.points, GridPoints) else self.points
 
     def values(self, name: str) -> set[str]:
         """Return the distinct canonical values of a parameter, of the points that depend on it."""

@@ -69,6 +69,11 @@ class Point:
         """The parameters that the method uses, sorted by public name: words, and numbers as decimals."""
         return {name: _shared_value(value) for name, value in get_method(self.method).values(self.params).items()}
 
+    @property
+    def usual(self) -> dict[str, str]:
+        """The usual values of younger parameters, which the key leaves out; see `Method.younger`."""
+        return {name: canonical_value(value) for name, value in get_method(self.method).younger.items()}
+
     @cached_property
     def spec(self) -> dict[str, Any]:
         """The canonical form, without the data's content; younger entries only where they are unusual."""
@@ -80,8 +85,7 @@ class Point:
         }  # fmt: skip
         values["scene"] = {name: canonical_value(value) for name, value in self.scene}
         values["options"] = {name: _canonical_option(value) for name, value in self.options}
-        younger = {name: canonical_value(value) for name, value in get_method(self.method).younger.items()}
-        region = self.region
+        younger, region = self.usual, self.region
         return {
             **{name: value for name, value in values.items() if value != usual[name]},
             "method": self.method,

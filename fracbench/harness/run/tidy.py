@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import math
+from array import array
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from fracbench.harness.run.grid_points import PlannedPoint
 from fracbench.harness.run.plan import Plan
@@ -19,6 +23,7 @@ METRICS = ("aae", "aepe", "sdae")
 #: a table that is computed again must not differ by a byte. They are in the store.
 COUNTS = ("n_pixels", "n_unknown", "n_nonfinite")
 RESULT_COLUMNS = (*METRICS, *COUNTS)
+_WHOLE = (*COUNTS, "iterations", "inner_iterations")
 
 
 def tidy(plan: Plan, rows: Mapping[str, Row]) -> pd.DataFrame:
@@ -30,54 +35,91 @@ def tidy(plan: Plan, rows: Mapping[str, Row]) -> pd.DataFrame:
     """
     import pandas as pd
 
-    blank, parameters, keyed = dict[str, str](), set[str](), set[str]()
-    for planned in _flows_of(plan):
-        blank.update(dict.fromkeys(planned.labels, ""))
-        parameters.update(planned.point.canonical)
-        keyed.update(planned.point.spec["params"])
-    columns: dict[str, list[Any]] = {}  # many points as records would take five times the memory
-    for count, planned in enumerate(_flows_of(plan)):
-        row = rows.get(planned.point.key)
-        result = row.result if row else {}
-        record: dict[str, Any] = {**blank, **planned.labels, **planned.point.canonical}
-        record.update({name: result.get(name) for name in RESULT_COLUMNS})
-        for name, errors in {**result.get("classes", {}), **result.get("masks", {})}.items():
-            record.update({f"{metric}_{name}": errors[metric] for metric in METRICS})
-        if "fl_all" in result:
-            record["fl_all"] = result["fl_all"]
-        record.update(result.get("fluid", {}))
-        record["iterations"] = _total(result.get("iterations"))
-        record["inner_iterations"] = _total(result.get("inner_iterations"))
-        record["stop"] = result.get("stop")
-        record["status"] = row.status if row else "missing"
-        record["error"] = row.error if row else None
-        record["key"] = planned.point.key
-        for name in record:
+    blank = {name: "" for each in plan.labelled() if each.point.score not in MEASURES for name in each.labels}
+    parameters, shown = set[str](), set[str]()
+    usual: dict[str, Mapping[str, str]] = {}  # by method
+    columns: dict[str, _Words | list[str] | array[float]] = {}
+    same = {key: key for key in rows}  # one text for each key, though it is made anew
+    for count, (planned, key) in enumerate(_flows_of(plan)):
+        point, canonical = planned.point, planned.point.canonical
+        if point.method not in usual:
+            usual[point.method] = point.usual
+            parameters.update(canonical)
+        younger = usual[point.method]
+        shown.update(name for name, value in canonical.items() if younger.get(name) != value)
+        record = {**blank, **planned.labels, **canonical, **_ending(rows.get(key)), "key": same.get(key, key)}
+        for name, value in record.items():
             if name not in columns:
-                columns[name] = [math.nan] * count
+                columns[name] = _new_column(name, value, count)
         for name, values in columns.items():
             values.append(record.get(name, math.nan))
-    table = pd.DataFrame(columns)
-    table = table.drop(columns=parameters - keyed)
-    for column in table.columns:
-        if column in METRICS or column in parameters:
-            table[column] = _as_numbers(table[column])
+    finished = {}
+    for name in list(columns):  # one by one, so that no column is there twice for long
+        values = columns.pop(name)
+        if name in shown or name not in parameters:
+            finished[name] = _finished(values, whole=name in _WHOLE, numeric=name in parameters)
+    return pd.DataFrame(finished, copy=False)
+
+
+class _Words:
+    """A column of few distinct words: each is kept once, and its number for each row."""
+
+    def __init__(self, count: int) -> None:
+        self._numbers: dict[Any, int] = {math.nan: 0} if count else {}
+        self._rows = array("i", [0]) * count
+
+    def append(self, word: Any) -> None:
+        """Add the word of a row."""
+        self._rows.append(self._numbers.setdefault(word, len(self._numbers)))
+
+    def series(self, *, numeric: bool) -> pd.Series:
+        """Return the column; with `numeric` as numbers, if all words are."""
+        import pandas as pd
+
+        words = pd.Series(list(self._numbers))
+        if numeric:
+            with suppress(ValueError, TypeError):
+                words = pd.to_numeric(words)
+        return words.take(np.frombuffer(self._rows, np.intc)).reset_index(drop=True)
+
+
+def _new_column(name: str, value: Any, count: int) -> _Words | list[str] | array[float]:
+    """Return a column of so many rows without a value, for values of one kind."""
+    if name == "key":
+        return [""] * count
+    return _Words(count) if value is None or isinstance(value, str) else array("d", [math.nan]) * count
+
+
+def _finished(values: _Words | list[str] | array[float], *, whole: bool, numeric: bool) -> pd.Series:
+    import pandas as pd
+
+    if isinstance(values, _Words):
+        return values.series(numeric=numeric)
+    column = pd.Series(np.frombuffer(values) if isinstance(values, array) else values)
     # A point that failed has no counts; those of the others stay whole numbers.
-    return table.astype(dict.fromkeys((*COUNTS, "iterations", "inner_iterations"), "Int64"))
+    return column.astype("Int64") if whole else column
 
 
-def _flows_of(plan: Plan) -> Iterator[PlannedPoint]:
-    return (planned for planned in plan.points if planned.point.score not in MEASURES)
+def _ending(row: Row | None) -> dict[str, Any]:
+    """Return what a row says of its flow: numbers, NaN where there is none, and words or None."""
+    result = row.result if row else {}
+    found = {name: result.get(name) for name in RESULT_COLUMNS}
+    for name, errors in {**result.get("classes", {}), **result.get("masks", {})}.items():
+        found |= {f"{metric}_{name}": errors[metric] for metric in METRICS}
+    if "fl_all" in result:
+        found["fl_all"] = result["fl_all"]
+    found |= result.get("fluid", {})
+    found |= {name: _total(result.get(name)) for name in ("iterations", "inner_iterations")}
+    numbers = {name: math.nan if value is None else value for name, value in found.items()}
+    status, error = (row.status, row.error) if row else ("missing", None)
+    return {**numbers, "stop": result.get("stop"), "status": status, "error": error}
+
+
+def _flows_of(plan: Plan) -> Iterator[tuple[PlannedPoint, str]]:
+    """Yield the points that are flows, and their keys."""
+    points = zip(plan.points, plan.keys(), strict=True)
+    return ((planned, key) for planned, key in points if planned.point.score not in MEASURES)
 
 
 def _total(levels: Sequence[Sequence[int]] | None) -> int | None:
     return None if levels is None else sum(sum(level) for level in levels)
-
-
-def _as_numbers(column: pd.Series) -> pd.Series:
-    import pandas as pd
-
-    try:
-        return pd.to_numeric(column)
-    except (ValueError, TypeError):
-        return column
