@@ -518,8 +518,10 @@ def a_job(**changes):
 
 
 def test_data_that_are_not_what_they_should_be_are_refused():
-    with pytest.raises(DataError, match=r"Grove2/frame10\.png"):
-        batches.load_files(a_job(), {"frame10.png": b"x", "frame11.png": b"y", "flow10.flo": b"z"})
+    with pytest.raises(DataError, match=r"Grove2/frame10\.png is corrupt"):
+        batches.load_files(
+            a_job(), {f"Grove2/{file}": b"x" for file in ("frame10.png", "frame11.png", "flow10.flo")}
+        )
 
 
 @pytest.mark.parametrize("file", ["../a.png", "a/../../b.png", "/a.png"])
