@@ -306,6 +306,17 @@ def test_the_documents_name_tests_that_exist():
         assert f"def {name}" in (ROOT / path).read_text(encoding="utf-8"), f"{path}::{name}"
 
 
+def test_each_guarantee_was_broken_on_purpose():
+    """A new guarantee comes with a change to the code for which its test was seen to fail."""
+    guarantees, text = (
+        (ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("guarantees.md", "testing.md")
+    )
+    section = text.partition("## Guarantees, broken on purpose")[2].partition("\n## ")[0]
+    broken = [test for row in rows(section) for test in named_tests(row[-1])]
+    assert sorted(broken) == sorted(set(named_tests(guarantees)))
+    assert f"All {len(broken)} entries" in section
+
+
 @pytest.mark.parametrize("path", documents() if ROOT else [], ids=lambda path: path.name)
 def test_the_documents_name_files_that_exist(path):
     text = path.read_text(encoding="utf-8")
