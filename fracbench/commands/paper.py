@@ -12,6 +12,7 @@ from fracbench.commands import console
 from fracbench.commands.run import run_plan, say_cost, say_failures
 from fracbench.errors import InputError
 from fracbench.harness.config.experiment import Experiment, list_experiments, load_experiment
+from fracbench.harness.run.grid_points import PlannedPoints
 from fracbench.harness.run.plan import Plan, plan_artefact, plan_experiment
 from fracbench.harness.run.store import STORE, Store
 
@@ -105,7 +106,7 @@ def _draw(experiment: Experiment, plan: Plan, folder: Path) -> list[Path]:
 
 def _together(plans: Mapping[str, Plan]) -> Plan:
     """Return one plan with the points of all."""
-    points = tuple(planned for plan in plans.values() for planned in plan.points)
+    points = PlannedPoints(*(plan.points for plan in plans.values()))
     return replace(next(iter(plans.values())), points=points)
 
 

@@ -13,7 +13,7 @@ from fracbench.errors import InputError
 from fracbench.harness.config.experiment import Experiment
 from fracbench.harness.config.grid import parse_overrides
 from fracbench.harness.run import sweep
-from fracbench.harness.run.grid_points import PlannedPoint
+from fracbench.harness.run.grid_points import PlannedPoint, PlannedPoints
 from fracbench.harness.run.plan import Plan, make_plan, plan_artefact
 from fracbench.harness.run.point import Point
 from fracbench.harness.run.store import RUNS, STORE, Row, Store
@@ -135,7 +135,7 @@ def _search(experiment: Experiment, plan: Plan, jobs: int) -> None:
         def compute(points: Mapping[str, Point]) -> Mapping[str, Row]:
             if jobs == 1:
                 return sweep.compute_here(points, store, data)
-            planned = tuple(PlannedPoint(point, {}) for point in points.values())
+            planned = PlannedPoints([PlannedPoint(point, {}) for point in points.values()])
             return sweep.run(replace(plan, points=planned), store, jobs=jobs).rows
 
         run_search(settings, table, printed_numbers(plan), compute, advance)

@@ -12,6 +12,7 @@ from fracbench.commands.cli import main
 from fracbench.errors import FracbenchError, InputError
 from fracbench.harness.config.experiment import load_experiment
 from fracbench.harness.run import compute_point, dask, point, sweep
+from fracbench.harness.run.grid_points import PlannedPoints
 from fracbench.harness.run.plan import make_plan, plan_artefact
 from fracbench.harness.run.store import STORE, Store
 from fracbench.harness.run.tidy import tidy
@@ -96,7 +97,7 @@ def test_a_measure_that_fails_is_a_row_and_an_empty_cell(small, store, unwritten
         )
         for each in plan.points
     )
-    plan = dataclasses.replace(plan, points=broken)
+    plan = dataclasses.replace(plan, points=PlannedPoints(broken))
     report = sweep.run(plan, store, jobs=1)
     (failed,) = map(report.rows.__getitem__, report.failed)
     assert failed.status == "failed" and "unexpected keyword argument 'limits'" in failed.error

@@ -14,6 +14,7 @@ import pytest
 from fracbench.errors import InputError
 from fracbench.harness.config.experiment import load_experiment
 from fracbench.harness.config.paths import asset
+from fracbench.harness.run.grid_points import PlannedPoints
 from fracbench.harness.run.plan import plan_artefact, plan_experiment
 from fracbench.studies import registry
 from fracbench.studies.protocols import protocol_study, switch_dots, switch_sentences, switch_table
@@ -202,7 +203,7 @@ def spectra(**options):
     plan = plan_experiment(experiment.grids, ["dataset=synthetic"], allow_download=False)
     points = spectrum_points(experiment, plan)
     rows = {each.point.key: SimpleNamespace(result=spectrum(each.point, None)) for each in points}
-    return spectra_table(dataclasses.replace(plan, points=(*plan.points, *points)), rows)
+    return spectra_table(dataclasses.replace(plan, points=PlannedPoints(plan.points, points)), rows)
 
 
 def test_spectra_are_those_of_each_regions_system():

@@ -1,4 +1,4 @@
-"""The points of a grid, made when they are asked for, and their keys, made without the points.
+"""The points of grids, made when they are asked for, and their keys, made without the points.
 
 A grid of a million points has a few frames: the choices of its bound axes, which decide on anything but
 parameters. Its free axes change parameters alone. What the key of a point hashes is a text, in which only the
@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import hashlib
 import math
+from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from itertools import chain, product
+from itertools import accumulate, chain, product
 from operator import itemgetter
 from typing import Any, overload
 
@@ -126,7 +127,7 @@ class _Frame:
         return math.prod(len(set(rows)) for rows in self.rows)
 
 
-class GridPoints(Sequence[PlannedPoint]):
+class GridPoints:
     """The points of one grid, in order. `frames` are those of the bound axes, with the first row of the others."""
 
     def __init__(self, frames: Sequence[PlannedPoint], axes: Sequence[Axis]) -> None:
@@ -144,16 +145,17 @@ class GridPoints(Sequence[PlannedPoint]):
     def __len__(self) -> int:
         return math.prod(axis.length for axis in self._axes)
 
-    @overload
-    def __getitem__(self, index: int) -> PlannedPoint: ...
+    def __iter__(self) -> Iterator[PlannedPoint]:
+        if not self._free:
+            yield from self.frames
+            return
+        for index, key in enumerate(self.keys()):
+            planned = self[index]
+            _keep_key(planned.point, key)
+            yield planned
 
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[PlannedPoint]: ...
-
-    def __getitem__(self, index: int | slice) -> PlannedPoint | Sequence[PlannedPoint]:
-        if isinstance(index, slice):
-            return tuple(self[i] for i in range(*index.indices(len(self))))
-        number, rows = self._place(range(len(self))[index])
+    def __getitem__(self, index: int) -> PlannedPoint:
+        number, rows = self._place(index)
         planned = self.frames[number]
         if not self._free:
             return planned
@@ -254,11 +256,90 @@ class GridPoints(Sequence[PlannedPoint]):
         return found or {point.canonical[name] for point in points if name in point.canonical}
 
 
-class UniquePoints(Mapping[str, Point]):
-    """Distinct points of a grid by key, in order, made when they are asked for."""
+class PlannedPoints(Sequence[PlannedPoint]):
+    """The points of grids, one grid after another; a part may be a list of points as well."""
 
-    def __init__(self, grid: GridPoints, indices: dict[str, int]) -> None:
-        self.grid, self._indices = grid, indices
+    def __init__(self, *parts: GridPoints | Sequence[PlannedPoint]) -> None:
+        self._grids = tuple(chain.from_iterable(map(_grids_of, parts)))
+        self._starts = [0, *accumulate(map(len, self._grids))]
+        self.frames = tuple(chain.from_iterable(grid.frames for grid in self._grids))
+        self._first_frames = [0, *accumulate(len(grid.frames) for grid in self._grids)]
+
+    def labelled(self, labels: Mapping[str, str]) -> PlannedPoints:
+        """Return the same points with further labels in front."""
+        return PlannedPoints(*(grid.labelled(labels) for grid in self._grids))
+
+    def __len__(self) -> int:
+        return self._starts[-1]
+
+    def __iter__(self) -> Iterator[PlannedPoint]:
+        return chain.from_iterable(self._grids)
+
+    @overload
+    def __getitem__(self, index: int) -> PlannedPoint: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[PlannedPoint]: ...
+
+    def __getitem__(self, index: int | slice) -> PlannedPoint | Sequence[PlannedPoint]:
+        if isinstance(index, slice):
+            return tuple(self[i] for i in range(*index.indices(len(self))))
+        number, place = self._place(range(len(self))[index])
+        return self._grids[number][place]
+
+    def _place(self, index: int) -> tuple[int, int]:
+        """Return the number of a point's grid, and its index there."""
+        number = bisect_right(self._starts, index) - 1
+        return number, index - self._starts[number]
+
+    def frame_of(self, index: int) -> int:
+        """Return the number of a point's frame."""
+        number, place = self._place(index)
+        return self._first_frames[number] + self._grids[number].frame_of(place)
+
+    def keys(self) -> Iterator[str]:
+        """Yield the key of each point, in order."""
+        return chain.from_iterable(grid.keys() for grid in self._grids)
+
+    def groups(self) -> Iterator[tuple[Point, int, Iterable[str]]]:
+        """Yield a point for all that cost the same, how many distinct points these are, and their keys."""
+        if len(self._grids) == 1:
+            yield from self._grids[0].groups()
+            return
+        seen = set[str]()
+        for point, _, keys in chain.from_iterable(grid.groups() for grid in self._grids):
+            new = set(keys) - seen
+            seen |= new
+            if new:
+                yield point, len(new), new
+
+    def identity(self, index: int) -> str:
+        """Return the identity of a point."""
+        number, place = self._place(index)
+        return self._grids[number].identity(place)
+
+    def values(self, name: str) -> set[str]:
+        """Return the canonical values that a parameter has, of the methods that use it."""
+        return set().union(*(grid.values(name) for grid in self._grids))
+
+
+def _grids_of(part: GridPoints | Sequence[PlannedPoint]) -> Sequence[GridPoints]:
+    if isinstance(part, PlannedPoints):
+        return part._grids
+    if isinstance(part, GridPoints):
+        return (part,)
+    return (GridPoints(part, [Axis(len(part))]),) if part else ()
+
+
+def _keep_key(point: Point, key: str) -> None:
+    vars(point)["key"] = key  # where `Point.key` would keep it
+
+
+class UniquePoints(Mapping[str, Point]):
+    """Distinct points of a plan by key, in order, made when they are asked for."""
+
+    def __init__(self, points: PlannedPoints, indices: dict[str, int]) -> None:
+        self.planned, self._indices = points, indices
 
     def __len__(self) -> int:
         return len(self._indices)
@@ -270,18 +351,18 @@ class UniquePoints(Mapping[str, Point]):
         return key in self._indices
 
     def __getitem__(self, key: str) -> Point:
-        point = self.grid[self._indices[key]].point
-        vars(point)["key"] = key  # where `Point.key` would keep it
+        point = self.planned[self._indices[key]].point
+        _keep_key(point, key)
         return point
 
     def only(self, keys: Iterable[str]) -> UniquePoints:
         """Return some of the points."""
-        return UniquePoints(self.grid, {key: self._indices[key] for key in keys})
+        return UniquePoints(self.planned, {key: self._indices[key] for key in keys})
 
     def frame_of(self, key: str) -> int:
         """Return the number of a point's frame."""
-        return self.grid.frame_of(self._indices[key])
+        return self.planned.frame_of(self._indices[key])
 
     def identity(self, key: str) -> str:
         """Return the identity of a point."""
-        return self.grid.identity(self._indices[key])
+        return self.planned.identity(self._indices[key])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pkgutil
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from pathlib import Path
@@ -39,7 +39,7 @@ from fracbench.harness.config.grid import Axis, Grid, expand_names, parse_overri
 from fracbench.harness.config.numbers import MAX_POINTS, canonical_number
 from fracbench.harness.config.records import require_name
 from fracbench.harness.run.grid_points import Axis as PointAxis
-from fracbench.harness.run.grid_points import GridPoints, PlannedPoint, UniquePoints
+from fracbench.harness.run.grid_points import GridPoints, PlannedPoint, PlannedPoints, UniquePoints
 from fracbench.harness.run.point import Point, Scene, canonical_value
 from fracbench.methods.method import Method
 from fracbench.model.params import FlowParams
@@ -65,7 +65,7 @@ class Plan:
     sequences, `small` whether the grid was thinned.
     """
 
-    points: Sequence[PlannedPoint]
+    points: PlannedPoints
     varying: tuple[str, ...]
     dataset: str
     folder: Path | None
@@ -81,41 +81,20 @@ class Plan:
         data = f"__{self.dataset}" if self.foreign else "_synthetic" if self.stand_in else ""
         return f"{data}_small" if self.small else data
 
-    def unique(self) -> Mapping[str, Point]:
+    def unique(self) -> UniquePoints:
         """Return the distinct points by key, in order."""
-        if not isinstance(self.points, GridPoints):
-            return {planned.point.key: planned.point for planned in self.points}
         indices: dict[str, int] = {}
         for index, key in enumerate(self.points.keys()):
             indices.setdefault(key, index)
         return UniquePoints(self.points, indices)
 
-    def keys(self) -> Iterator[str]:
-        """Yield the key of each point, in order."""
-        if isinstance(self.points, GridPoints):
-            return self.points.keys()
-        return (planned.point.key for planned in self.points)
-
-    def groups(self) -> Iterator[tuple[Point, int, Iterable[str]]]:
-        """Yield a point for all that cost the same, how many distinct points these are, and their keys."""
-        if isinstance(self.points, GridPoints):
-            yield from self.points.groups()
-        else:
-            yield from ((point, 1, (key,)) for key, point in self.unique().items())
-
     def labels(self, name: str) -> set[str]:
         """Return the distinct values of a label."""
-        return {planned.labels[name] for planned in self.labelled()}
-
-    def labelled(self) -> Sequence[PlannedPoint]:
-        """Return points that have all combinations of labels: of a grid, those of its frames."""
-        return self.points.frames if isinstance(self.points, GridPoints) else self.points
+        return {planned.labels[name] for planned in self.points.frames}
 
     def values(self, name: str) -> set[str]:
         """Return the distinct canonical values of a parameter, of the points that depend on it."""
-        if isinstance(self.points, GridPoints):
-            return self.points.values(name)
-        return {planned.point.canonical[name] for planned in self.points if name in planned.point.canonical}
+        return self.points.values(name)
 
 
 def make_plan(tokens: Sequence[str], *, allow_download: bool = True, small: bool = False) -> Plan:
@@ -143,7 +122,7 @@ def make_plan(tokens: Sequence[str], *, allow_download: bool = True, small: bool
     notices += idle
     stand_in = wanting is not None and resolved.dataset == "synthetic"
     return Plan(
-        points=GridPoints(frames, axes),
+        points=PlannedPoints(GridPoints(frames, axes)),
         varying=grid.varying,
         dataset=resolved.dataset,
         folder=resolved.folder,
@@ -172,7 +151,7 @@ def plan_experiment(
     if not grids:
         one = [f"sequence='{pairs.names[0]}'"] if pairs else []  # not all of them: each is hashed
         plan = make_plan((*one, *settings), allow_download=allow_download, small=small)
-        return replace(plan, points=(), varying=(), foreign=foreign)
+        return replace(plan, points=PlannedPoints(), varying=(), foreign=foreign)
     plans: dict[str, Plan] = {}
     absent: dict[str, InputError] = {}
     for part, grid in grids.items():
@@ -190,14 +169,6 @@ def plan_experiment(
     if not plans:
         raise next(iter(absent.values()))
     first = next(iter(plans.values()))
-    if len(plans) == 1 and isinstance(first.points, GridPoints):
-        points: Sequence[PlannedPoint] = first.points.labelled({"part": next(iter(plans))})
-    else:
-        points = tuple(
-            replace(planned, labels={"part": part, **planned.labels})
-            for part, plan in plans.items()
-            for planned in plan.points
-        )
     real = next((plan for plan in plans.values() if plan.dataset == "middlebury"), None)
     real = real or next((plan for plan in plans.values() if plan.folder is not None), first)
     varying = tuple(dict.fromkeys(key for plan in plans.values() for key in plan.varying))
@@ -205,7 +176,7 @@ def plan_experiment(
     notices |= _left_out(absent)
     return replace(
         first,
-        points=points,
+        points=PlannedPoints(*(plan.points.labelled({"part": part}) for part, plan in plans.items())),
         varying=varying,
         notices=tuple(notices),
         dataset=real.dataset,
@@ -230,7 +201,7 @@ def plan_artefact(
     if experiment.artefact not in _MEASURED:
         return plan
     measured = pkgutil.resolve_name(_MEASURED[experiment.artefact])
-    return replace(plan, points=(*plan.points, *measured(experiment, plan)))
+    return replace(plan, points=PlannedPoints(plan.points, measured(experiment, plan)))
 
 
 @dataclass(frozen=True)

@@ -65,7 +65,7 @@ class Report:
         return [key for key, status in self.statuses.items() if status not in (None, "done")]
 
 
-def missing(plan: Plan, store: Store, *, rerun_failed: bool = False) -> tuple[Report, Mapping[str, Point]]:
+def missing(plan: Plan, store: Store, *, rerun_failed: bool = False) -> tuple[Report, UniquePoints]:
     """Compare a plan with the store: return its rows and reasons, and the points to compute, in order."""
     if not store.readonly:
         _take_loose_rows(store)
@@ -80,9 +80,7 @@ def missing(plan: Plan, store: Store, *, rerun_failed: bool = False) -> tuple[Re
             todo.append(key)
             report.statuses[key] = None
             report.reasons[_reason(status, key, points, store, identities)] += 1
-    if isinstance(points, UniquePoints):
-        return report, points.only(todo)
-    return report, {key: points[key] for key in todo}
+    return report, points.only(todo)
 
 
 def count_missing(plan: Plan, store: Store, *, rerun_failed: bool = False) -> tuple[int, list[tuple[Point, int]]]:
@@ -92,7 +90,7 @@ def count_missing(plan: Plan, store: Store, *, rerun_failed: bool = False) -> tu
     else:
         stored = set(store.keys("done" if rerun_failed else None))
     total, todo = 0, []
-    for point, count, keys in plan.groups():
+    for point, count, keys in plan.points.groups():
         total += count
         # Without stored points no key is made.
         todo.append((point, count - len(stored.intersection(keys)) if stored else count))
@@ -108,13 +106,13 @@ def _take_loose_rows(store: Store) -> None:
 
 
 def _reason(
-    status: str | None, key: str, points: Mapping[str, Point], store: Store, identities: Callable[[], set[str]]
+    status: str | None, key: str, points: UniquePoints, store: Store, identities: Callable[[], set[str]]
 ) -> str:
     if status is not None:
         return f"{status} before"
     if not identities():
         return "new"
-    identity = points.identity(key) if isinstance(points, UniquePoints) else points[key].identity
+    identity = points.identity(key)
     if identity not in identities():
         return "new"
     point, latest = points[key], store.by_identity(identity)[-1]
@@ -133,7 +131,7 @@ def run(
     rerun_failed: bool = False,
     on_row: OnRow | None = None,
     on_end: Callable[[], object] | None = None,
-    compared: tuple[Report, Mapping[str, Point]] | None = None,
+    compared: tuple[Report, UniquePoints] | None = None,
     pool: Pool | None = None,
 ) -> Report:
     """Compute the points that the store lacks; each row is stored as soon as its point is done.
@@ -191,7 +189,7 @@ def _pool(plan: Plan, jobs: int, store: Store) -> Pool:
 class _Sweep:
     """One run over missing points: those that wait, are under way, or have lost their worker."""
 
-    def __init__(self, todo: Mapping[str, Point], store: Store, claims: Claims, pool: Pool, plan: Plan) -> None:
+    def __init__(self, todo: UniquePoints, store: Store, claims: Claims, pool: Pool, plan: Plan) -> None:
         self._todo, self._store, self._claims, self._pool = todo, store, claims, pool
         self._folder = None if plan.folder is None else plan.folder.resolve()
         self._timeout, self._commit = plan.config.parallel.timeout, provenance.commit()
@@ -294,20 +292,16 @@ class _Jobs:
         return len(self._keys)
 
 
-def _in_turn(todo: Mapping[str, Point]) -> list[str]:
+def _in_turn(todo: UniquePoints) -> list[str]:
     """Return the keys of points: the longest first, so that no worker is left with one of them in the end.
 
     The points of a pair come together, so that each worker reads or renders it once.
     """
-    if isinstance(todo, UniquePoints):
-        points = [planned.point for planned in todo.grid.frames]
-        numbers = [todo.frame_of(key) for key in todo]
-    else:
-        points, numbers = list(todo.values()), list(range(len(todo)))
+    points = [planned.point for planned in todo.planned.frames]
     pairs = {point.data_digest: i for i, point in enumerate(points)}
     turns = [(*_turn(point), pairs[point.data_digest]) for point in points]
     place = {turn: i for i, turn in enumerate(sorted(set(turns)))}
-    places = [place[turns[number]] for number in numbers]
+    places = [place[turns[todo.frame_of(key)]] for key in todo]
     keys = list(todo)
     return [keys[i] for i in sorted(range(len(keys)), key=places.__getitem__)]
 

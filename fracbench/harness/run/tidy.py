@@ -35,13 +35,13 @@ def tidy(plan: Plan, rows: Mapping[str, Row]) -> pd.DataFrame:
     """
     import pandas as pd
 
-    blank = {name: "" for each in plan.labelled() if each.point.score not in MEASURES for name in each.labels}
+    blank = {name: "" for each in plan.points.frames if each.point.score not in MEASURES for name in each.labels}
     parameters, shown = set[str](), set[str]()
     usual: dict[str, Mapping[str, str]] = {}  # by method
     columns: dict[str, _Words | list[str] | array[float]] = {}
     same = {key: key for key in rows}  # one text for each key, though it is made anew
-    for count, (planned, key) in enumerate(_flows_of(plan)):
-        point, canonical = planned.point, planned.point.canonical
+    for count, planned in enumerate(_flows_of(plan)):
+        point, key, canonical = planned.point, planned.point.key, planned.point.canonical
         if point.method not in usual:
             usual[point.method] = point.usual
             parameters.update(canonical)
@@ -115,10 +115,8 @@ def _ending(row: Row | None) -> dict[str, Any]:
     return {**numbers, "stop": result.get("stop"), "status": status, "error": error}
 
 
-def _flows_of(plan: Plan) -> Iterator[tuple[PlannedPoint, str]]:
-    """Yield the points that are flows, and their keys."""
-    points = zip(plan.points, plan.keys(), strict=True)
-    return ((planned, key) for planned, key in points if planned.point.score not in MEASURES)
+def _flows_of(plan: Plan) -> Iterator[PlannedPoint]:
+    return (planned for planned in plan.points if planned.point.score not in MEASURES)
 
 
 def _total(levels: Sequence[Sequence[int]] | None) -> int | None:

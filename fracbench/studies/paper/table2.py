@@ -12,6 +12,7 @@ import numpy as np
 from fracbench.data.files import write_text
 from fracbench.harness.config.experiment import Experiment
 from fracbench.harness.config.paths import asset
+from fracbench.harness.run.grid_points import PlannedPoints
 from fracbench.harness.run.plan import Plan
 from fracbench.harness.run.store import Row
 from fracbench.harness.run.tidy import METRICS, tidy
@@ -50,8 +51,8 @@ def table2(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results:
 
 def protocol_claims(experiment: Experiment, plan: Plan, rows: Mapping[str, Row], results: Path) -> Artefact:
     """Write Table 2 from the part of that name: the other parts are for `fracbench.report.claims.further`."""
-    points = tuple(planned for planned in plan.points if planned.labels["part"] == "table2")
-    return table2(experiment, replace(plan, points=points), rows, results)
+    points = [planned for planned in plan.points if planned.labels["part"] == "table2"]
+    return table2(experiment, replace(plan, points=PlannedPoints(points)), rows, results)
 
 
 def printed_table() -> pd.DataFrame:

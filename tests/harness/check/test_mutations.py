@@ -20,7 +20,7 @@ from fracbench.evaluation import metrics
 from fracbench.harness.check import regression
 from fracbench.harness.check.regression import Verdict, check
 from fracbench.harness.run import compute_point
-from fracbench.harness.run.grid_points import PlannedPoint
+from fracbench.harness.run.grid_points import PlannedPoint, PlannedPoints
 from fracbench.harness.run.plan import Plan
 from fracbench.harness.run.point import Point
 from fracbench.harness.run.store import Row
@@ -64,7 +64,7 @@ def checked(monkeypatch) -> Callable[..., Verdict]:
 
         def plan(name: str) -> Plan:
             whole = plan_of(name)
-            return replace(whole, points=tuple(filter(is_wanted, whole.points)))
+            return replace(whole, points=PlannedPoints(list(filter(is_wanted, whole.points))))
 
         def stored(path):
             table = read(path)

@@ -10,8 +10,8 @@ import pytest
 from fracbench.errors import InputError
 from fracbench.harness.config.grid import parse_overrides
 from fracbench.harness.run import sweep
-from fracbench.harness.run.grid_points import GridPoints, UniquePoints
-from fracbench.harness.run.plan import make_plan
+from fracbench.harness.run.grid_points import PlannedPoints, UniquePoints
+from fracbench.harness.run.plan import make_plan, plan_experiment
 from fracbench.harness.run.point import Point
 from fracbench.harness.run.store import Store
 from fracbench.methods.registry import METHODS, get_method
@@ -58,7 +58,6 @@ def tokens(request):
 
 def test_points_and_keys_are_those_of_points_planned_alone(tokens):
     made, alone = plan(*tokens), list(one_by_one(tokens))
-    assert isinstance(made.points, GridPoints)
     assert len(made.points) == len(alone)
     assert list(made.points) == alone
     assert [planned.point.params for planned in made.points] == [planned.point.params for planned in alone]
@@ -72,7 +71,7 @@ def test_points_and_keys_are_those_of_points_planned_alone(tokens):
 def test_distinct_points_are_counted_without_their_keys(tokens):
     made = plan(*tokens)
     keys = dict.fromkeys(planned.point.key for planned in one_by_one(tokens))
-    groups = [(point, count, [*found]) for point, count, found in made.groups()]
+    groups = [(point, count, [*found]) for point, count, found in made.points.groups()]
     assert sum(count for _, count, _ in groups) == len(keys)
     assert {key for *_, found in groups for key in found} == keys.keys()
     unique = made.unique()
@@ -103,6 +102,34 @@ def test_the_identity_is_that_of_all_versions(monkeypatch):
 def test_a_value_out_of_range_is_refused_before_a_point_is_made(monkeypatch):
     with pytest.raises(InputError, match=r"`alpha` must be in \[0, 2\], got 2.5"):
         plan("sequence=synthetic_flat", "theta=0.1:1:0.1", "alpha=0:2.5:0.5")
+
+
+def test_grids_one_after_another():
+    """Grids that share points and frames, a grid without a free axis, and listed points."""
+    parts = {
+        "one": ("sequence=synthetic_flat,synthetic_edge", "alpha=0,0.5,1"),
+        "two": ("sequence=synthetic_flat", "alpha=1,1.5"),
+        "three": ("sequence=synthetic_edge",),
+    }
+    made = plan_experiment(parts, allow_download=False)
+    alone = [each for tokens in parts.values() for each in one_by_one(tokens)]
+    labels = [part for part, count in zip(parts, (6, 2, 1), strict=True) for _ in range(count)]
+    assert [planned.labels["part"] for planned in made.points] == labels
+    more = replace(made, points=PlannedPoints(made.points, alone[2:4], []))
+    alone += alone[2:4]
+    assert [planned.point for planned in more.points] == [planned.point for planned in alone]
+    keys = [planned.point.key for planned in alone]
+    assert list(more.points.keys()) == keys == [planned.point.key for planned in more.points]
+    assert list(more.unique()) == list(dict.fromkeys(keys)) and len(keys) - len(more.unique()) == 3
+    for i, planned in enumerate(alone):
+        assert more.points[i].point == planned.point
+        assert more.points.identity(i) == planned.point.identity
+        frame = more.points.frames[more.points.frame_of(i)]
+        assert frame.point.data_digest == planned.point.data_digest
+    groups = [(count, list(found)) for _, count, found in more.points.groups()]
+    assert sorted(key for _, found in groups for key in found) == sorted(more.unique())
+    assert all(count == len(found) > 0 for count, found in groups)
+    assert more.values("alpha") == {planned.point.canonical["alpha"] for planned in alone}
 
 
 def test_slices_and_the_end(tokens):

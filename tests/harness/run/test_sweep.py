@@ -18,6 +18,7 @@ from fracbench.errors import FracbenchError
 from fracbench.harness.run import point as point_module
 from fracbench.harness.run import pool as workers
 from fracbench.harness.run import sweep
+from fracbench.harness.run.grid_points import PlannedPoints
 from fracbench.harness.run.plan import make_plan
 from fracbench.harness.run.point import Job
 from fracbench.harness.run.store import Store, encode
@@ -487,7 +488,7 @@ def test_measures_go_first_and_then_the_largest_points(store, monkeypatch):
     ]
     points.append(replace(points[0], point=replace(points[0].point, score="spectrum")))
     seen = []
-    sweep.run(replace(made, points=tuple(points)), store, jobs=1, on_row=seen.append)
+    sweep.run(replace(made, points=PlannedPoints(points)), store, jobs=1, on_row=seen.append)
     assert [row.spec["box"] for row in seen] == [[0, 20, 0, 20], None, [0, 100, 0, 100], [0, 20, 0, 20]]
     assert ["score" in row.spec for row in seen] == [True, False, False, False]
 
