@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import nox
@@ -29,8 +30,9 @@ def tests(session: nox.Session) -> None:
 def lowest(session: nox.Session) -> None:
     """Test with the lowest version of each direct dependency."""
     chosen = str(Path(session.create_tmp(), "lowest.txt").resolve())
+    uv = (sys.executable, "-m", "uv", "pip", "compile")
     words = ("--resolution", "lowest-direct", "--extra", "dev", "--python-version", PYTHONS[0], "--quiet")
-    session.run("uv", "pip", "compile", *words, "--output-file", chosen, "pyproject.toml", external=True)
+    session.run(*uv, *words, "--output-file", chosen, "pyproject.toml", external=True)
     session.install("--requirement", chosen)
     # Old versions warn of what their newer dependencies have deprecated.
     test(session, "-W", "ignore")

@@ -16,7 +16,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-pytest.importorskip("distributed", reason="needs the extra `dask`")
+distributed = pytest.importorskip("distributed", reason="needs the extra `dask`")
 
 from fracbench.data.files import write_image
 from fracbench.errors import DataError, FracbenchError, InputError
@@ -42,6 +42,17 @@ class Running:
         self.address, *pids = self.process.stdout.readline().split()
         self.workers = [int(pid) for pid in pids]
 
+    def is_whole(self) -> bool:
+        """Tell whether both workers are there again: a nanny may fail to start one anew."""
+        if self.process.poll() is not None:
+            return False
+        with distributed.Client(self.address, set_as_default=False) as client:
+            try:
+                client.wait_for_workers(2, timeout=30)
+            except TimeoutError:
+                return False
+        return True
+
     def close(self) -> None:
         """End scheduler and workers, at once."""
         self.process.kill()
@@ -58,8 +69,8 @@ def clusters():
 
 @pytest.fixture
 def running(clusters):
-    """A cluster that runs: the one of the test before, unless that has ended it."""
-    if not clusters or clusters[-1].process.poll() is not None:
+    """A cluster of two workers: the one of the test before, unless that has ended it or a worker for good."""
+    if not clusters or not clusters[-1].is_whole():
         clusters.append(Running())
     return clusters[-1]
 
