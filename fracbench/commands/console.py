@@ -90,10 +90,10 @@ def progress(total: int | None, label: str) -> Iterator[Any]:
         TimeRemainingColumn,
     )
 
-    if total == 0:
+    terminal = _console(stderr=True)
+    if total == 0 or not terminal.is_terminal:
         yield lambda *_: None
         return
-    terminal = _console(stderr=True)
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -102,7 +102,7 @@ def progress(total: int | None, label: str) -> Iterator[Any]:
         TextColumn("ETA"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=terminal, transient=True, disable=not terminal.is_terminal) as bar:
+    with Progress(*columns, console=terminal, transient=True) as bar:
         task = bar.add_task(label, total=total)
         yield lambda *_: bar.advance(task)
 

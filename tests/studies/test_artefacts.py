@@ -69,7 +69,7 @@ def test_a_sweep_writes_a_table_and_a_figure(tmp_path, fake_rows):
     assert artefact.files == [tmp_path / "sweeps" / f"s.{suffix}" for suffix in ("csv", "png", "pdf")]
     assert (tmp_path / "sweeps/s.png").read_bytes().startswith(b"\x89PNG")
     assert (tmp_path / "sweeps/s.pdf").read_bytes().startswith(b"%PDF")
-    read = pd.read_csv(tmp_path / "sweeps/s.csv")
+    read = pd.read_csv(tmp_path / "sweeps/s.csv", float_precision="round_trip")
     assert read["alpha"].tolist() == [k / 5 for k in range(11)]
     assert read["aae"].tolist() == tidy(made, rows)["aae"].tolist()
     ((title, best),) = artefact.views

@@ -129,6 +129,7 @@ def reference_table(plan: Plan, rows: Mapping[str, Row]) -> pd.DataFrame:
     kept = table[[*keys, *MEASURED, *COUNTED]].copy()
     for column in MEASURED:
         kept[column] = [f"{value:.9g}" for value in kept[column]]
+    kept = kept.astype(object)  # pandas 2 maps whole numbers as floats where one is missing
     return kept.map(lambda value: "" if pd.isna(value) else str(value)).drop_duplicates(ignore_index=True)
 
 
