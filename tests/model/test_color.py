@@ -80,7 +80,8 @@ def test_transposing_the_frames_transposes_the_flow(frames):
         estimate_flow(*pair, weighted_guide="color", **GUIDED).flow
         for pair in (frames, [frame.transpose(1, 0, 2) for frame in frames])
     )
-    np.testing.assert_allclose(there, here[::-1].transpose(0, 2, 1), atol=1e-4)
+    # In single precision; with numba 0.60 they differ by up to 1.1e-4.
+    np.testing.assert_allclose(there, here[::-1].transpose(0, 2, 1), atol=3e-4)
 
 
 def test_an_unknown_guide_is_refused(frames):

@@ -16,7 +16,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-distributed = pytest.importorskip("distributed", reason="needs the extra `dask`")
+pytest.importorskip("distributed", reason="needs the extra `dask`")
 
 from fracbench.data.files import write_image
 from fracbench.errors import DataError, FracbenchError, InputError
@@ -44,9 +44,11 @@ class Running:
 
     def is_whole(self) -> bool:
         """Tell whether both workers are there again: a nanny may fail to start one anew."""
+        from distributed import Client
+
         if self.process.poll() is not None:
             return False
-        with distributed.Client(self.address, set_as_default=False) as client:
+        with Client(self.address, set_as_default=False) as client:
             try:
                 client.wait_for_workers(2, timeout=30)
             except TimeoutError:
