@@ -90,7 +90,7 @@ class LocalPool:
             with closing(_unordered(calls(), max(self._jobs, 2), ahead)) as rows:
                 for key, row in rows:
                     del given[key]
-                    self._mark(key).unlink()
+                    os.unlink(_mark(self._marks.name, key))  # noqa: PTH108  see `_mark`
                     self._false_starts = 0
                     yield key, row
         except BrokenProcessPool:
@@ -100,7 +100,7 @@ class LocalPool:
 
     def _died(self, jobs: Sequence[Job]) -> Ended:
         """Yield the jobs that had begun when the workers died: without a row, unless their time was over."""
-        begun = [(job, mark) for job in jobs if (mark := self._mark(job.key)).exists()]
+        begun = [(job, mark) for job in jobs if (mark := Path(_mark(self._marks.name, job.key))).exists()]
         self._false_starts = 0 if begun else self._false_starts + 1
         if self._false_starts == MAX_FALSE_STARTS:
             raise FracbenchError("worker processes die before they begin with a point (out of memory?)")
@@ -110,9 +110,6 @@ class LocalPool:
             if over_time:
                 self._store.put(job.expired(provenance.machine()))
             yield job.key, self._store.get_encoded([job.key]).get(job.key) if over_time else None
-
-    def _mark(self, key: str) -> Path:
-        return Path(self._marks.name) / key
 
     def close(self) -> None:
         """Remove the marks."""
@@ -177,6 +174,11 @@ def _ctrl_c_ignored() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
+def _mark(marks: str, key: str) -> str:
+    """Return the mark of a point. It is no Path, which interns each name: Python 3.12 keeps those for ever."""
+    return f"{marks}/{key}"
+
+
 # -- in a worker -------------------------------------------------------------------------------------------------
 
 
@@ -184,9 +186,8 @@ def _compute(job: Job, store: Path, marks: str, parent: int) -> tuple[str, Value
     """Compute a job, store its row and return its key and the row."""
     from fracbench.harness.run import compute_point
 
-    mark = Path(marks) / job.key
     try:
-        with mark.open("w") as file:
+        with open(_mark(marks, job.key), "w") as file:  # noqa: PTH123  see `_mark`
             try:
                 row = job.row(compute_point.run_point(job.point, job.folder, lambda: _timed(job.timeout, file)))
             except _OverTime:

@@ -20,7 +20,7 @@ from fracbench.harness.run import pool as workers
 from fracbench.harness.run import sweep
 from fracbench.harness.run.grid_points import PlannedPoints
 from fracbench.harness.run.plan import make_plan
-from fracbench.harness.run.point import Job
+from fracbench.harness.run.point import Job, Outcome
 from fracbench.harness.run.store import Store, encode
 
 FLAT = ("sequence=synthetic_flat", "n_scales=1", "n_warps=1", "max_iter=2")
@@ -355,6 +355,19 @@ def test_what_was_finished_as_the_time_ended_is_kept(store, fake_rows):
         (Path(pool._marks.name) / row.key).write_text("Timeout")
         assert list(pool._died([job])) == [(row.key, encode(row))]
         assert list(Path(pool._marks.name).iterdir()) == []
+
+
+def test_the_key_of_a_point_is_not_interned(store, fake_rows, monkeypatch, tmp_path):
+    """Python 3.12 keeps interned texts for ever: memory would grow with each point."""
+    made = plan("alpha=0")
+    (row,) = fake_rows(made).values()
+    monkeypatch.setattr(
+        "fracbench.harness.run.compute_point.run_point", lambda *_: Outcome("done", None, {}, 1.0, None, {})
+    )
+    job = Job(row.key, made.points[0].point, 1, 2, {})
+    workers._compute(job, store.path, str(tmp_path), os.getppid())
+    copy = row.key[:1] + row.key[1:]
+    assert sys.intern(copy) is copy  # an equal text that was interned before would be returned
 
 
 def say_who(point, finish):
