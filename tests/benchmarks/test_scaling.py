@@ -56,3 +56,4 @@ def test_growth_is_that_of_the_points_in_the_second_half(tmp_path):
     one = soak.Soak(tmp_path / "sweep", tmp_path / "log", 40)
     one.samples = [(0.0, 2, 900.0, 900.0), *((0.0, n, 100.0 + n / 1000, 50.0) for n in range(21, 40))]
     assert one.slopes() == pytest.approx((1.0, 0.0), abs=1e-9)
+    assert one.grown() == pytest.approx(0.02)  # 20 points
