@@ -258,7 +258,9 @@ def measure(arguments: argparse.Namespace) -> None:
         records = []
         for soak, disturb in ((alone, None), (disturbed, Trouble(arguments.every, full_disk=disk is not None))):
             seconds = soak.run(disturb)
-            (rows, again, early), (parent, worker) = soak.check(), soak.slopes()
+            rows, again, early = soak.check()
+            # Kills start processes anew: no growth of one process can be told.
+            parent, worker = soak.slopes() if disturb is None else (np.nan, np.nan)
             records.append({
                 "sweep": soak.folder.name,
                 "rows": rows,
