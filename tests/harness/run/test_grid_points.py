@@ -107,13 +107,13 @@ def test_a_value_out_of_range_is_refused_before_a_point_is_made(monkeypatch):
 def test_grids_one_after_another():
     """Grids that share points and frames, a grid without a free axis, and listed points."""
     parts = {
-        "one": ("sequence=synthetic_flat,synthetic_edge", "alpha=0,0.5,1"),
-        "two": ("sequence=synthetic_flat", "alpha=1,1.5"),
+        "one": ("sequence=synthetic_flat,synthetic_edge", "alpha=0.5,1"),
+        "two": ("sequence=synthetic_flat", "alpha=1,1.25,1.5"),
         "three": ("sequence=synthetic_edge",),
     }
     made = plan_experiment(parts, allow_download=False)
     alone = [each for tokens in parts.values() for each in one_by_one(tokens)]
-    labels = [part for part, count in zip(parts, (6, 2, 1), strict=True) for _ in range(count)]
+    labels = [part for part, count in zip(parts, (4, 3, 1), strict=True) for _ in range(count)]
     assert [planned.labels["part"] for planned in made.points] == labels
     more = replace(made, points=PlannedPoints(made.points, alone[2:4], []))
     alone += alone[2:4]
@@ -129,6 +129,7 @@ def test_grids_one_after_another():
     groups = [(count, list(found)) for _, count, found in more.points.groups()]
     assert sorted(key for _, found in groups for key in found) == sorted(more.unique())
     assert all(count == len(found) > 0 for count, found in groups)
+    assert list(PlannedPoints().groups()) == list(PlannedPoints([]).keys()) == []
     assert more.values("alpha") == {planned.point.canonical["alpha"] for planned in alone}
 
 
