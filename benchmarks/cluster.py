@@ -1,13 +1,16 @@
 """Measure what a sweep on a Dask cluster costs this process a point, and how busy it keeps the workers.
 
 The workers of a simulated cluster, which is one process, sleep and answer with made-up rows: their number and the
-seconds of a point are free. Dask has no part in it. The real cluster has two worker processes on this machine.
+seconds of a point are free. Dask has no part in it. The sleeping cluster has Dask's scheduler, and many of Dask's
+workers in one process, whose points sleep as well. The real cluster has two worker processes on this machine.
 """
 
 from __future__ import annotations
 
 import argparse
+import asyncio
 import heapq
+import logging
 import subprocess
 import sys
 import tempfile
@@ -15,6 +18,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
@@ -30,13 +34,14 @@ from fracbench.harness.run import sweep
 from fracbench.harness.run.batches import Batch
 from fracbench.harness.run.dask import DaskPool
 from fracbench.harness.run.plan import Plan, make_plan
-from fracbench.harness.run.point import Outcome
+from fracbench.harness.run.point import Job, Outcome
 from fracbench.harness.run.pool import Pool
 from fracbench.harness.run.provenance import peak_mib, reset_peak
 from fracbench.harness.run.store import Store, Values, encode
 from fracbench.studies.sweep import sweep as write_artefact
 
 _ROWS, _ENDED = 0, 1
+_RESULT = {"aae": 0.1, "aepe": 0.2, "sdae": 0.1, "n_pixels": 9216, "phases": {"solving": 0.1}}  # of the usual size
 _SMALL = ("sequence=synthetic_flat", "n_scales=1", "n_warps=1", "max_iter=1")
 _CLUSTER = """
 import sys
@@ -47,6 +52,10 @@ if __name__ == "__main__":
         print(cluster.scheduler_address, flush=True)
         sys.stdin.readline()
 """
+
+
+def _slept(seconds: float) -> Outcome:
+    return Outcome("done", None, _RESULT, seconds, 100.0, {"host": "nowhere"})
 
 
 @dataclass(eq=False)
@@ -88,10 +97,8 @@ class SimulatedWorkers:
             self._send_due()
 
     def _take(self, name: str, number: int, batch: Batch, pause: float) -> None:
-        if not self._row:  # of a real point, with a result of the usual size
-            job = next(batch.jobs())
-            result = {"aae": 0.1, "aepe": 0.2, "sdae": 0.1, "n_pixels": 9216, "phases": {"solving": 0.1}}
-            self._row = encode(job.row(Outcome("done", None, result, self._seconds, 100.0, {"host": "nowhere"})))
+        if not self._row:
+            self._row = encode(next(batch.jobs()).row(_slept(self._seconds)))
             self._first = time.monotonic()
         worker = self._workers.setdefault(name, _Worker())
         worker.batches.append(_Batch(number, batch.keys, pause))
@@ -210,6 +217,81 @@ def _simulate(connection: Connection, seconds: float) -> None:
     SimulatedWorkers(connection, seconds).run()
 
 
+def _schedule(connection: Connection) -> None:
+    from distributed import Scheduler
+
+    logging.disable()
+
+    async def serve() -> None:
+        async with Scheduler(port=0, dashboard=False) as scheduler:
+            connection.send(scheduler.address)
+            await scheduler.finished()
+
+    asyncio.run(serve())
+
+
+def _sleep(connection: Connection, address: str, workers: int, seconds: float) -> None:
+    """Be many workers, whose points take their time without computing."""
+    from distributed import Worker
+
+    from fracbench.harness.run import batches
+
+    def compute(job: Job, mail: batches.Mail) -> None:
+        time.sleep(seconds)
+        mail.put(job.row(_slept(seconds)))
+
+    vars(batches).update(compute=compute, one_at_a_time=nullcontext())
+    logging.disable()
+
+    async def serve() -> None:
+        with tempfile.TemporaryDirectory(prefix="fracbench-") as folder:
+            options: dict[str, Any] = {"nthreads": 1, "dashboard": False, "local_directory": folder}
+            started: list[Any] = [Worker(address, **options) for _ in range(workers)]
+            await asyncio.gather(*started)
+            connection.send(None)
+            await asyncio.gather(*(worker.finished() for worker in started))
+
+    asyncio.run(serve())
+
+
+def sleeping(points: int, workers: int, seconds: float) -> dict[str, Any]:
+    """Run a sweep by Dask's scheduler on workers that sleep, and return the scheduler's share too."""
+    from distributed import Client
+
+    class CountingClient(Client):
+        batches = 0
+
+        def submit(self, *words: Any, **how: Any) -> Any:
+            self.batches += 1
+            return super().submit(*words, **how)
+
+    open_client: Any = CountingClient
+    context = get_context("spawn")
+    connection, theirs = context.Pipe()
+    scheduler = context.Process(target=_schedule, args=(theirs,), daemon=True)
+    scheduler.start()
+    address = connection.recv()
+    sleepers = context.Process(target=_sleep, args=(theirs, address, workers, seconds), daemon=True)
+    sleepers.start()
+    connection.recv()
+    try:
+        with (
+            open_client(address, set_as_default=False) as asking,
+            open_client(address, set_as_default=False) as client,
+        ):
+            spent = -asking.run_on_scheduler(lambda: time.process_time())
+            plan = make_plan(grid_of(points), allow_download=False)
+            record = lap(plan, workers, lambda store: DaskPool(None, store, client))
+            spent += asking.run_on_scheduler(lambda: time.process_time())
+    finally:
+        for process in (sleepers, scheduler):
+            process.kill()
+            process.join()
+    busy = record["points"] * seconds / (workers * record["seconds"])
+    scheduler_ms = 1e3 * spent / client.batches
+    return {"cluster": "sleeping", "point_s": seconds, **record, "busy": busy, "scheduler_ms": scheduler_ms}
+
+
 def grid_of(points: int) -> list[str]:
     """Return the overrides of a grid of about so many points."""
     side = max(2, round((points / 10) ** 0.5))
@@ -277,13 +359,19 @@ def real(points: int) -> dict[str, Any]:
     return {"cluster": "real", "point_s": seconds, **record, "busy": None}
 
 
+_NOTE = "busy: share of the workers' time; scheduler_ms: the scheduler's time for a batch; one run"
+
+
 def measure(arguments: argparse.Namespace) -> None:
     """Measure, print and write the table."""
     stem = results_stem(arguments.overrides, "cluster")
     records = [simulated(arguments.points, arguments.workers, arguments.seconds)]
+    if arguments.sleepers:
+        points = round(20 * arguments.sleepers / arguments.seconds)  # 20 s of work for each
+        records.append(sleeping(points, arguments.sleepers, arguments.seconds))
     if arguments.real:
         records.append(real(arguments.real))
-    write_results(records, stem, "Sweeps on a cluster", "busy: share of the workers' time; one run")
+    write_results(records, stem, "Sweeps on a cluster", _NOTE)
 
 
 def main(argv: list[str]) -> int:
@@ -294,6 +382,9 @@ def main(argv: list[str]) -> int:
         "--points", type=int, default=100_000, metavar="N", help="about so many (default: 100,000)"
     )
     parser.add_argument("--seconds", type=float, default=0.1, metavar="S", help="of a point (default: 0.1)")
+    parser.add_argument(
+        "--sleepers", type=int, default=200, metavar="N", help="sleeping workers of Dask's (default: 200); 0: none"
+    )
     parser.add_argument("--real", type=int, default=4000, metavar="N", help="points on two real workers; 0: none")
     return common.run(measure, parser, argv)
 

@@ -39,6 +39,15 @@ def test_a_simulated_cluster_computes_all_points(tmp_path, monkeypatch):
     assert record["parent_ms"] > 0.0
 
 
+def test_sleeping_workers_compute_all_points(tmp_path, monkeypatch):
+    pytest.importorskip("distributed", reason="needs the extra `dask`")
+    monkeypatch.chdir(tmp_path)
+    record = cluster.sleeping(200, 2, 0.01)
+    assert record["points"] == 160
+    assert 0.0 < record["busy"] <= 1.0
+    assert record["scheduler_ms"] > 0.0
+
+
 def test_a_point_that_is_computed_again_is_seen(tmp_path, fake_rows):
     one = soak.Soak(tmp_path / "sweep", tmp_path / "log", 40)
     rows = list(fake_rows(make_plan([*scaling.GRID], allow_download=False), created="2020-01-01").values())

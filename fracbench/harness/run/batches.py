@@ -35,7 +35,7 @@ _same = operator.attrgetter(
     "options", "version", "shape",
 )  # fmt: skip
 #: Held while a batch is computed: a worker with several threads would begin with the next one.
-_one_at_a_time = threading.Lock()
+one_at_a_time = threading.Lock()
 
 
 class Batch:
@@ -105,7 +105,7 @@ def run_batch(batch: Batch, files: Mapping[str, bytes], topic: str, pause: float
     from fracbench.harness.run import compute_point
 
     jobs = batch.jobs()
-    with _one_at_a_time:
+    with one_at_a_time:
         first = next(jobs)
         if first.solver_version != SOLVER_VERSION:
             raise InputError(

@@ -27,10 +27,10 @@ from fracbench.harness.run.store import Store, Values, status_of
 
 _log = logging.getLogger(__name__)
 
-#: The seconds of work of a batch: for a worker that has none, and at most. Dask's scheduler takes more than a
-#: millisecond for a batch: the more workers there are, the larger are their batches.
+#: The seconds of work of a batch: for a worker that has none, and at most. Dask's scheduler takes about 2 ms for a
+#: batch (``benchmarks/cluster.py``): the more workers there are, the larger are their batches.
 LEAST_SECONDS, MOST_SECONDS = 1.0, 5.0
-LEAST_PER_WORKER = 0.002
+LEAST_PER_WORKER = 0.003
 #: The seconds that a row waits for others: the cluster as a whole sends 1,000 blocks a second at most.
 LEAST_PAUSE, PAUSE_PER_WORKER = 0.1, 0.001
 
