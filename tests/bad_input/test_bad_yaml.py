@@ -74,6 +74,8 @@ CONFIGS = [
     ("protocol/own.yaml", "", "protocol: own\nmethod: null", "`method` must be a name"),
     ("protocol/own.yaml", "", "protocol: [1]", "`protocol` must be a name"),
     ("protocol/own.yaml", "", "protocol: own\nparams: {n_warps: .inf}", "`n_warps` must be a whole number"),
+    ("protocol/own.yaml", "", "protocol: own\nparams: {alpha: !!binary aGVs}", "could not determine a"),
+    ("protocol/own.yaml", "", "protocol: own\nparams: {null: 1}", "conf: ConfigCompositionException"),
     ("parallel/own.yaml", "", "parallel: {jobs: two}", "parallel: `jobs` must be a whole number, got 'two'"),
     ("parallel/own.yaml", "", "parallel: {jobs: 1.5}", "parallel: `jobs` must be a whole number, got 1.5"),
     ("parallel/own.yaml", "", "parallel: {backend: [1]}", "parallel: `backend` must be a text, got [1]"),

@@ -9,6 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fracbench.errors import InputError
+
 CORPUS = Path(__file__).parent / "corpus"
 CASES = sorted(path for path in CORPUS.rglob("*") if path.is_file())
 
@@ -28,6 +30,20 @@ def test_some_inputs_are_taken_and_some_refused(name):
     """Each input as it is; if all were refused at the first byte, they would test nothing."""
     answers = {fuzz_targets.run(name, path.read_bytes()) for path in CASES if path.parent.name == name}
     assert answers == {True, False}
+
+
+@pytest.mark.parametrize(
+    "path", [path for path in CASES if path.parent.name == "protocol"], ids=lambda path: path.name
+)
+def test_the_door_for_protocols_answers_as_hydra_does(work, path):
+    """The door leaves Hydra out, which takes most of the time."""
+    answers = []
+    for door in (fuzz_targets.protocol, fuzz_targets.by_hydra):
+        try:
+            answers.append(door(path.read_bytes()))
+        except InputError:
+            answers.append(None)
+    assert answers[0] == answers[1]
 
 
 @pytest.mark.parametrize("name", fuzz_targets.TARGETS)

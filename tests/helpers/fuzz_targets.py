@@ -8,18 +8,26 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from contextlib import nullcontext
+from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
+from unittest import mock
+
+import yaml
+from omegaconf import OmegaConf
 
 from fracbench.data import files
-from fracbench.errors import FracbenchError
-from fracbench.harness.config.compose import _compose, load_config
+from fracbench.errors import FracbenchError, InputError
+from fracbench.harness.config import compose, composition_cache, working_folder
 from fracbench.harness.config.experiment import load_experiment
 from fracbench.harness.config.grid import parse_overrides
 from fracbench.harness.run.store import Store
 from fracbench.studies.options import require_options
 
 _MOST_SHOWN = 100  # values of a grid
+_HEADER = b"# @package _global_\n"
+_by_hydra = compose._by_hydra
 
 
 def flo(data: bytes) -> None:
@@ -59,12 +67,47 @@ def experiment(data: bytes) -> None:
         parse_overrides(tokens)
 
 
-def protocol(data: bytes) -> None:
-    """A protocol of the working folder."""
+def protocol(data: bytes) -> compose.RunConfig:
+    """A protocol of the working folder, without Hydra, which takes longer than all else."""
+    no_folder = Path(os.devnull)  # each input would leave a file in the cache
+    with (
+        mock.patch.object(compose, "_by_hydra", _merged),
+        mock.patch.object(composition_cache, "cache_folder", lambda: no_folder),
+    ):
+        return by_hydra(data)
+
+
+def by_hydra(data: bytes) -> compose.RunConfig:
+    """A protocol of the working folder, as the program reads it."""
     Path("conf/protocol").mkdir(parents=True, exist_ok=True)
-    Path("conf/protocol/own.yaml").write_bytes(b"# @package _global_\n" + data)
-    _compose.cache_clear()
-    load_config({"protocol": "own"})
+    Path("conf/protocol/own.yaml").write_bytes(_HEADER + data)
+    compose._compose.cache_clear()
+    return compose.load_config({"protocol": "own"})
+
+
+def _merged(folder: Path, overrides: list[str], own: working_folder.Files) -> Any:
+    """Merge the file into what Hydra makes of its `defaults`."""
+    try:
+        content = OmegaConf.load(own[0][0])
+        defaults = OmegaConf.to_container(content.pop("defaults", OmegaConf.create([])))
+        before, after = _around(folder, tuple(overrides), yaml.safe_dump({"defaults": defaults}))
+        return OmegaConf.to_container(OmegaConf.merge(before, content, after), resolve=True)
+    except Exception as exc:  # as many as the program takes for a bad file
+        raise InputError(" ".join(str(exc).split())) from exc
+
+
+@cache
+def _around(folder: Path, overrides: tuple[str, ...], defaults: str) -> tuple[Any, Any]:
+    """Return Hydra's composition with a protocol of these `defaults` alone, and what comes after it."""
+    with TemporaryDirectory() as other:
+        path = Path(other) / "conf" / "protocol" / "own.yaml"
+        path.parent.mkdir(parents=True)
+        path.write_bytes(_HEADER + defaults.encode())
+        composed = OmegaConf.create(_by_hydra(folder, list(overrides), ((path, 0, 0),)))
+    after = OmegaConf.load(folder / "config.yaml")
+    del after["defaults"]
+    after.parallel = composed.parallel
+    return composed, after
 
 
 def store(data: bytes) -> None:
@@ -80,7 +123,7 @@ def store(data: bytes) -> None:
                 found.put(row) if not readonly else row.to_json()
 
 
-TARGETS: dict[str, Callable[[bytes], None]] = {
+TARGETS: dict[str, Callable[[bytes], Any]] = {
     target.__name__: target for target in (flo, kitti, picture, grid, experiment, protocol, store)
 }
 

@@ -254,7 +254,8 @@ def _by_hydra(folder: Path, overrides: list[str], own: working_folder.Files) -> 
             composed = compose("config", overrides=[*overrides, *working_folder.search_path(own)])
         return OmegaConf.to_container(composed, resolve=True)
     except Exception as exc:  # Hydra lets nearly any exception through on a file it does not expect
-        raise InputError(f"configuration {folder}: {' '.join(str(exc).split())}") from exc
+        why = " ".join(str(exc).split()) or type(exc).__name__
+        raise InputError(f"configuration {folder}: {why}") from exc
 
 
 def _default_sequence() -> str:

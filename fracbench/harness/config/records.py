@@ -147,6 +147,8 @@ def _loader() -> Any:
             if any(key.tag == "tag:yaml.org,2002:merge" for key, _ in node.value):
                 raise yaml.constructor.ConstructorError(problem="merge keys (<<) are not allowed; write them out")
 
+    no_bytes: dict[str | None, Any] = {"tag:yaml.org,2002:binary": Loader.construct_undefined}
+    Loader.yaml_constructors = Loader.yaml_constructors | no_bytes  # no setting is made of bytes
     return Loader
 
 
