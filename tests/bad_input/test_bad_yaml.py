@@ -75,6 +75,7 @@ CONFIGS = [
     ("protocol/own.yaml", "", "protocol: [1]", "`protocol` must be a name"),
     ("protocol/own.yaml", "", "protocol: own\nparams: {n_warps: .inf}", "`n_warps` must be a whole number"),
     ("protocol/own.yaml", "", "protocol: own\nparams: {alpha: !!binary aGVs}", "could not determine a"),
+    ("protocol/own.yaml", "", f"params: {{alpha: 0x{5000 * 'f'}}}", "whole numbers have at most 80 characters"),
     ("protocol/own.yaml", "", "protocol: own\nparams: {null: 1}", "conf: ConfigCompositionException"),
     ("parallel/own.yaml", "", "parallel: {jobs: two}", "parallel: `jobs` must be a whole number, got 'two'"),
     ("parallel/own.yaml", "", "parallel: {jobs: 1.5}", "parallel: `jobs` must be a whole number, got 1.5"),
@@ -156,6 +157,8 @@ EXPERIMENTS = [
     ("grid: [sequence=synthetic_flat]\ntitle: !!bool maybe", "cannot be read as YAML"),
     ("grid: [sequence=synthetic_flat]\ntitle: !!timestamp noon", "cannot be read as YAML"),
     ("grid: [sequence=synthetic_flat]\ntitle: !!int ''", "cannot be read as YAML"),
+    (f"grid: [sequence=synthetic_flat]\ntitle: 1{400_000 * ':1'}", "whole numbers have at most 80 characters"),
+    ("grid: [sequence=synthetic_flat]\ntitle: !!binary aGVs", "could not determine a constructor"),
     ("grid: [sequence=synthetic_flat]\noptions: {<<: {x: 1}}", "merge keys (<<) are not allowed"),
     ("grid: !!python/object/apply:boom.go []", "could not determine a constructor"),
 ]  # fmt: skip

@@ -141,14 +141,25 @@ def _loader() -> Any:
     import yaml
 
     class Loader(yaml.SafeLoader):
-        """PyYAML's safe loader without merge keys: it copies what they name, and nested ones fill the memory."""
+        """PyYAML's safe loader without merge keys, bytes, and whole numbers of thousands of digits."""
 
         def flatten_mapping(self, node: yaml.MappingNode) -> None:
+            """Refuse merge keys: what they name is copied, and nested ones fill the memory."""
             if any(key.tag == "tag:yaml.org,2002:merge" for key, _ in node.value):
                 raise yaml.constructor.ConstructorError(problem="merge keys (<<) are not allowed; write them out")
 
-    no_bytes: dict[str | None, Any] = {"tag:yaml.org,2002:binary": Loader.construct_undefined}
-    Loader.yaml_constructors = Loader.yaml_constructors | no_bytes  # no setting is made of bytes
+        def construct_short_int(self, node: yaml.ScalarNode) -> int:
+            """Refuse a long one, which is too large for a float or a message; in base 60 it takes seconds."""
+            if len(node.value) > _LONGEST:
+                problem = f"whole numbers have at most {_LONGEST} characters"
+                raise yaml.constructor.ConstructorError(problem=problem)
+            return self.construct_yaml_int(node)
+
+    ours: dict[str | None, Any] = {
+        "tag:yaml.org,2002:binary": Loader.construct_undefined,  # no setting is made of bytes
+        "tag:yaml.org,2002:int": Loader.construct_short_int,
+    }
+    Loader.yaml_constructors = Loader.yaml_constructors | ours
     return Loader
 
 
