@@ -22,11 +22,12 @@ from fracbench.errors import FracbenchError, InputError
 from fracbench.harness.config import compose, composition_cache, working_folder
 from fracbench.harness.config.experiment import load_experiment
 from fracbench.harness.config.grid import parse_overrides
-from fracbench.harness.run.store import Store
+from fracbench.harness.run.store import Row, Store
 from fracbench.studies.options import require_options
 
 _MOST_SHOWN = 100  # values of a grid
 _HEADER = b"# @package _global_\n"
+_ROW = Row(key="new", identity="i", spec={}, solver_version=1, status="done")
 _by_hydra = compose._by_hydra
 
 
@@ -119,8 +120,10 @@ def store(data: bytes) -> None:
         path.write_bytes(data)
         with Store(path, readonly=readonly) as found:
             assert sum(found.counts().values()) >= 0
-            for row in found.rows():
-                found.put(row) if not readonly else row.to_json()
+            rows = found.rows()
+            if not readonly:
+                found.put(_ROW)
+                found.put_many([*found.get_encoded(row.key for row in rows).values()])
 
 
 TARGETS: dict[str, Callable[[bytes], Any]] = {

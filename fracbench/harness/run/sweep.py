@@ -100,7 +100,7 @@ def count_missing(plan: Plan, store: Store, *, rerun_failed: bool = False) -> tu
 def _take_loose_rows(store: Store) -> None:
     """Store the rows that an older fracbench finished and left beside the store when it was killed."""
     for path in sorted(claims_folder(store.path).glob("*.json")):
-        with suppress(ValueError):  # cut short
+        with suppress(ValueError, TypeError, RecursionError):  # cut short, or no row
             store.put(Row.from_json(path.read_text()))
         path.unlink(missing_ok=True)
 

@@ -408,13 +408,18 @@ def test_workers_serve_one_sweep_after_another(store, monkeypatch):
 # -- what was finished without being stored, and sweeps at once -----------------------------------
 
 
-def test_rows_that_an_older_version_left_beside_the_store_are_taken_not_computed(store, fake_rows):
+@pytest.mark.parametrize(
+    "no_row",
+    ['{"key": ', "[" * 100_000, '{"key":"k","identity":"i","spec":5,"solver_version":1,"status":"done"}'],
+    ids=["cut", "deep", "spec"],
+)
+def test_rows_that_an_older_version_left_beside_the_store_are_taken_not_computed(store, fake_rows, no_row):
     made = plan("alpha=0,1")
     first, second = fake_rows(made).values()
     folder = sweep.claims_folder(store.path)
     folder.mkdir()
     (folder / f"{first.key}.json").write_text(first.to_json())
-    (folder / f"{second.key}.json").write_text('{"key": ')
+    (folder / f"{second.key}.json").write_text(no_row)
     report, todo = sweep.missing(made, store)
     assert (list(report.rows), list(todo)) == ([first.key], [second.key])
     assert store.rows() == [first]
