@@ -301,11 +301,14 @@ def decode_kitti_png(data: bytes, where: str) -> NDArray[np.float32]:
 
 
 def _require_bounded_data(data: bytes, most: int) -> None:
-    """Refuse a PNG whose pixels unpack into more than `most` bytes: pypng would unpack them all at once."""
+    """Refuse a PNG of more than `most` bytes of pixels, and a second head: pypng makes room for both at once."""
     import png
 
-    unpacker, size = zlib.decompressobj(), 0
+    unpacker, size, heads = zlib.decompressobj(), 0, 0
     for kind, packed in png.Reader(bytes=data).chunks():
+        heads += kind == b"IHDR"
+        if heads > 1:
+            raise ValueError("it has a second head")
         while kind == b"IDAT" and packed and not unpacker.eof:
             size += len(unpacker.decompress(packed, 2**20))
             packed = unpacker.unconsumed_tail

@@ -169,10 +169,16 @@ def progressive(n_scans: int) -> bytes:
     return data + last * (n_scans - data.count(b"\xff\xda")) + b"\xff\xd9"
 
 
+#: A head of an interlaced gray picture, which pypng makes room for.
+TALL = struct.pack(">IIBBBBB", 696, 1_769_481, 8, 0, 0, 0, 1)
 #: Files of at most 3 MB that their decoders would unpack into gigabytes, or for minutes.
 BOMBS = {
     "kitti.png": (lambda: png(10, 10, 16, 2, chunk(b"IDAT", bomb(2**30))), "more than the 628 bytes"),
     "kitti_wide.png": (lambda: png(16_384, 16_384, 16, 2, chunk(b"IDAT", bomb(2**31))), "is not within"),
+    "kitti_heads.png": (
+        lambda: png(2, 2, 16, 2, chunk(b"IHDR", TALL) + chunk(b"IDAT", zlib.compress(bytes(26)))),
+        "it has a second head",
+    ),
     "scans.jpg": (lambda: progressive(600), "600 scans of 4000 x 4000 pixels"),
     "text.png": (lambda: png(9, 9, 8, 0, chunk(b"zTXt", b"a\0\0" + bomb(2**28))), "too large"),
     "profile.png": (lambda: png(9, 9, 8, 0, chunk(b"iCCP", b"a\0\0" + bomb(2**28))), "too large"),
