@@ -48,6 +48,7 @@ class _Notes(logging.Handler):
 
 def show_log() -> None:
     """From now on, print the package's log as remarks."""
+    logging.getLogger("PIL").setLevel(logging.CRITICAL)  # a damaged picture is told of in one line, which is ours
     logger = logging.getLogger("fracbench")
     if not logger.handlers:
         logger.addHandler(_Notes())

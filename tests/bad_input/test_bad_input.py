@@ -134,6 +134,12 @@ def test_images_that_cannot_be_used(files, refused, frame0, frame1, named):
     refused(files, ["estimate", frame0, frame1, "-o", "out.flo"], *named)
 
 
+def test_the_log_of_pillow_is_no_second_line(files, refused, caplog):
+    shutil.copy(Path(__file__).parents[1] / "fuzz" / "corpus" / "picture" / "tiff_samples", files)
+    refused(files, ["estimate", "a.png", "tiff_samples", "-o", "out.flo"], "tiff_samples: not a picture")
+    assert not caplog.records
+
+
 @pytest.mark.parametrize(
     ("truth", "named"),
     [
