@@ -304,16 +304,17 @@ def _require_bounded_data(data: bytes, most: int) -> None:
     """Refuse a PNG of more than `most` bytes of pixels, and a second head: pypng makes room for both at once."""
     import png
 
-    unpacker, size, heads = zlib.decompressobj(), 0, 0
+    unpacker, size, heads, pixels = zlib.decompressobj(), 0, 0, 0
     for kind, packed in png.Reader(bytes=data).chunks():
         heads += kind == b"IHDR"
-        if heads > 1:
-            raise ValueError("it has a second head")
+        pixels += kind == b"IDAT"
         while kind == b"IDAT" and packed and not unpacker.eof:
             size += len(unpacker.decompress(packed, 2**20))
             packed = unpacker.unconsumed_tail
             if size > most:
                 raise ValueError(f"its data unpack into more than the {most} bytes that its size needs")
+    if heads > 1 or not pixels:  # pypng goes on after the end until there are pixels
+        raise ValueError("it has a second head, or no pixels")
 
 
 def _check_kitti_header(data: bytes, where: str) -> tuple[int, int]:

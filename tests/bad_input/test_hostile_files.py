@@ -179,6 +179,12 @@ BOMBS = {
         lambda: png(2, 2, 16, 2, chunk(b"IHDR", TALL) + chunk(b"IDAT", zlib.compress(bytes(26)))),
         "it has a second head",
     ),
+    "kitti_end.png": (
+        lambda: png(
+            2, 2, 16, 2, chunk(b"IEND", b"") + chunk(b"IHDR", TALL) + chunk(b"IDAT", zlib.compress(bytes(26)))
+        ),
+        "or no pixels",
+    ),
     "scans.jpg": (lambda: progressive(600), "600 scans of 4000 x 4000 pixels"),
     "text.png": (lambda: png(9, 9, 8, 0, chunk(b"zTXt", b"a\0\0" + bomb(2**28))), "too large"),
     "profile.png": (lambda: png(9, 9, 8, 0, chunk(b"iCCP", b"a\0\0" + bomb(2**28))), "too large"),

@@ -187,5 +187,7 @@ def explain(exc: Exception) -> str:
         return f"{_REMEDIES[sqlite3.SQLITE_CANTOPEN]} ({exc.strerror})"
     if isinstance(exc, UnicodeDecodeError):  # sqlite3 cannot decode SQLite's own message, which quotes the file
         return f"{DAMAGED} ({exc})"
+    if isinstance(exc, MemoryError):  # a damaged file may make SQLite ask for more than there is
+        return f"{DAMAGED} (or there is too little memory)"
     remedy, said = _REMEDIES.get(_code(exc)), " ".join(str(exc).split())  # it may quote a damaged file
     return f"{remedy} ({said})" if remedy else said

@@ -111,7 +111,7 @@ class Store:
             raise InputError(f"store {self.path}: is a folder; name a file in it")
         try:
             self._db = open_to_read(self.path) if readonly else open_to_write(self.path)
-        except (OSError, sqlite3.Error, UnicodeDecodeError) as exc:
+        except (OSError, sqlite3.Error, UnicodeDecodeError, MemoryError) as exc:
             raise InputError(f"store {self.path}: {explain(exc)}") from exc
 
     def __enter__(self) -> Self:
@@ -238,7 +238,7 @@ class Store:
     def _translated(self) -> Iterator[None]:
         try:
             yield
-        except (sqlite3.Error, UnicodeDecodeError) as exc:
+        except (sqlite3.Error, UnicodeDecodeError, MemoryError) as exc:
             raise StoreError(f"store {self.path}: {explain(exc)}") from exc
 
 
