@@ -150,6 +150,8 @@ EXPERIMENTS = [
     ("grids: {}\nartefact: family\noptions: {styles: ['-Q']}", "styles: unknown marker 'Q' in '-Q'"),
     ("grids: {}\nartefact: family\noptions: {styles: ['']}", "styles: '' names neither a line nor a marker"),
     ("grids: {}\nartefact: family\noptions: {styles: []}", "option 'styles' must name a line or a marker"),
+    ("grids: {}\nartefact: protocol_search\noptions: {stages: 3}", "`stages` must be a list, got 3"),
+    ("grids: {}\nartefact: protocol_search\noptions: {space: 3}", "`space` must be a mapping, got 3"),
     ("grid: [dataset=synthetic, dataset=auto]", "the key 'dataset' is given twice"),
     ("grid: [sequence=synthetic_flat, paths.results=/elsewhere]", "is said on the command line"),
     ("grid: [sequence=synthetic_flat, parallel.jobs=99]", "is said on the command line"),

@@ -33,6 +33,8 @@ _WORDS = {
     bool: "true or false",
     types.NoneType: "null",
     tuple: "a list",
+    list: "a list",
+    dict: "a mapping",
 }
 
 
@@ -90,7 +92,7 @@ def _is(value: Any, hint: Any) -> bool:
 
 def _word(hint: Any) -> str:
     kind, items = typing.get_origin(hint) or hint, typing.get_args(hint)
-    if kind is list:
+    if kind is list and items[0] is not Any:
         return f"a list, each item {_word(items[0])}"
     return _WORDS[kind]
 
