@@ -20,6 +20,7 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, field
+from itertools import count
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -169,7 +170,8 @@ class SimulatedClient:
         self._process.start()
         theirs.close()
         self._names = {f"worker-{i}": 1 for i in range(workers)}
-        self._futures: dict[int, SimulatedFuture] = {}
+        self._futures: dict[int, SimulatedFuture] = {}  # of batches that have not ended
+        self._numbers = count()
         self._receive: Callable[[tuple[float, Any]], None] = print
         self._sums = (0, 0.0)
         self._thread = threading.Thread(target=self._listen, daemon=True)
@@ -185,7 +187,7 @@ class SimulatedClient:
 
     def submit(self, function: object, batch: Batch, files: object, topic: str, pause: float, **how: Any) -> Any:
         """Send a batch to a worker."""
-        (name,), number = how["workers"], len(self._futures)
+        (name,), number = how["workers"], next(self._numbers)
         future = self._futures[number] = SimulatedFuture()
         self._connection.send((name, number, batch, pause))
         return future
@@ -196,7 +198,7 @@ class SimulatedClient:
             if message[0] == _ROWS and isinstance(message[1], list):
                 self._receive((0.0, message[1]))
             elif message[0] == _ENDED and message[1] in self._futures:
-                self._futures[message[1]].end()
+                self._futures.pop(message[1]).end()
             else:
                 self._sums = message
                 return
@@ -309,10 +311,9 @@ def lap(plan: Plan, workers: int, open_pool: Callable[[Store], Pool]) -> dict[st
         tempfile.TemporaryDirectory(prefix="fracbench-", dir=Path.cwd()) as folder,
         Store(Path(folder) / "store.sqlite") as store,
     ):
-        pool = open_pool(store)
         reset_peak()
         started, used = time.perf_counter(), time.process_time()
-        report = sweep.run(plan, store, jobs=1, pool=pool)
+        report = sweep.run(plan, store, jobs=1, pool=open_pool(store))
         seconds, used = time.perf_counter() - started, time.process_time() - used
         peak = peak_mib()
         store.close()

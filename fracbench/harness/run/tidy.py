@@ -53,6 +53,7 @@ def tidy(plan: Plan, rows: Mapping[str, Row]) -> pd.DataFrame:
                 columns[name] = _new_column(name, value, count)
         for name, values in columns.items():
             values.append(record.get(name, math.nan))
+    del same
     finished = {}
     for name in list(columns):  # one by one, so that no column is there twice for long
         values = columns.pop(name)
@@ -62,15 +63,21 @@ def tidy(plan: Plan, rows: Mapping[str, Row]) -> pd.DataFrame:
 
 
 class _Words:
-    """A column of few distinct words: each is kept once, and its number for each row."""
+    """A column of few distinct words: each is kept once, and if there are several, its number for each row."""
 
     def __init__(self, count: int) -> None:
         self._numbers: dict[Any, int] = {math.nan: 0} if count else {}
-        self._rows = array("i", [0]) * count
+        self._count = count
+        self._rows: array[int] | None = None
 
     def append(self, word: Any) -> None:
         """Add the word of a row."""
-        self._rows.append(self._numbers.setdefault(word, len(self._numbers)))
+        number = self._numbers.setdefault(word, len(self._numbers))
+        if number and self._rows is None:
+            self._rows = array("i", [0]) * self._count
+        if self._rows is not None:
+            self._rows.append(number)
+        self._count += 1
 
     def series(self, *, numeric: bool) -> pd.Series:
         """Return the column; with `numeric` as numbers, if all words are."""
@@ -80,7 +87,8 @@ class _Words:
         if numeric:
             with suppress(ValueError, TypeError):
                 words = pd.to_numeric(words)
-        return words.take(np.frombuffer(self._rows, np.intc)).reset_index(drop=True)
+        rows = np.zeros(self._count, np.intc) if self._rows is None else np.frombuffer(self._rows, np.intc)
+        return words.take(rows).reset_index(drop=True)
 
 
 def _new_column(name: str, value: Any, count: int) -> _Words | list[str] | array[float]:
