@@ -42,7 +42,9 @@ from fracbench.harness.run.store import Store, Values, encode
 from fracbench.studies.sweep import sweep as write_artefact
 
 _ROWS, _ENDED = 0, 1
-_RESULT = {"aae": 0.1, "aepe": 0.2, "sdae": 0.1, "n_pixels": 9216, "phases": {"solving": 0.1}}  # of the usual size
+#: The result of a point that sleeps: of the usual size.
+_COUNTS = {"n_pixels": 9216, "n_unknown": 0, "n_nonfinite": 0}
+_RESULT = {"aae": 0.1, "aepe": 0.2, "sdae": 0.1, **_COUNTS, "phases": {"solving": 0.1}}
 _SMALL = ("sequence=synthetic_flat", "n_scales=1", "n_warps=1", "max_iter=1")
 _CLUSTER = """
 import sys

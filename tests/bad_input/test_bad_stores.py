@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from fracbench.harness.run.plan import make_plan
 from fracbench.harness.run.sqlite import _COLUMNS, APPLICATION_ID, SCHEMA_VERSION
-from fracbench.harness.run.store import Store
+from fracbench.harness.run.store import Row, Store
 
 POINT = ("alpha=1", "sequence=synthetic_flat", "n_scales=1", "n_warps=1", "max_iter=1")
 PLACE = Path("results/runs/store.sqlite")
@@ -135,3 +136,29 @@ def test_a_row_that_is_no_json_is_damage_not_code(work, place, refused, column, 
     db.commit()
     db.close()
     refused(work, ["compare", str(place), str(place)], "is damaged; move it away")
+
+
+#: Results that no program of ours has written.
+RESULTS = [
+    {"aae": "small"},
+    {"n_pixels": [1]},
+    {"masks": 1},
+    {"classes": {"edge": {}}},
+    {"fluid": [1, 2]},
+    {"iterations": 3},
+    {"stop": ["tol"]},
+]
+
+
+@pytest.mark.parametrize("result", RESULTS, ids=lambda result: next(iter(result)))
+def test_a_result_of_another_kind_is_damage(work, place, refused, cli, result):
+    point = make_plan(POINT, allow_download=False).points[0].point
+    spec = {"method": "tvl1_sb_alpha"}  # without its data: of no use for an estimate of time
+    with Store(place) as store:
+        store.put(
+            Row(
+                key=point.key, identity="i", spec=spec, solver_version=1, status="done", result=result, seconds=1.0
+            )
+        )
+    assert "1 points, 1 stored, 0 to compute" in cli("sweep", *POINT, "--dry-run").out
+    refused(work, ["sweep", *POINT], "the result of point", "is damaged; move it away")

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from statistics import median
 from typing import Any
 
 from fracbench.data.datasets.registry import match_sequence, shape_of
+from fracbench.errors import InputError
 from fracbench.harness.run.point import MEASURES, Point
 from fracbench.harness.run.store import Row
 
@@ -24,7 +26,10 @@ def expected_seconds(points: Iterable[tuple[Point, int]], rows: Iterable[Row], j
     speeds: dict[str, list[float]] = {}
     for row in rows:
         if row.status == "done" and row.seconds:
-            speeds.setdefault(_kind(row.spec), []).append(row.seconds / _pixels_of_row(row))
+            # Its dataset may be gone, and a row of others may lack what the estimate needs.
+            with suppress(InputError, KeyError, TypeError, ValueError, ArithmeticError):
+                speed = row.seconds / _pixels_of_row(row)
+                speeds.setdefault(_kind(row.spec), []).append(speed)
     medians = {kind: median(known) for kind, known in speeds.items()}
     total, longest, measured = 0.0, 0.0, True
     for point, count in points:

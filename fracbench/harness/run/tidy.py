@@ -13,7 +13,8 @@ import numpy as np
 from fracbench.harness.run.grid_points import PlannedPoint
 from fracbench.harness.run.plan import Plan
 from fracbench.harness.run.point import MEASURES
-from fracbench.harness.run.store import Row
+from fracbench.harness.run.sqlite import DAMAGED
+from fracbench.harness.run.store import Row, StoreError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -32,6 +33,8 @@ def tidy(plan: Plan, rows: Mapping[str, Row]) -> pd.DataFrame:
     Points without a row have the status ``missing``, failed ones NaN errors; parameters that are numbers in every
     row are numbers. A parameter that came after results were stored (`Method.younger`) has a column only where a
     point has an unusual value of it, so that older tables stay as they are.
+
+    StoreError: the result of a row is none of ours.
     """
     import pandas as pd
 
@@ -47,7 +50,11 @@ def tidy(plan: Plan, rows: Mapping[str, Row]) -> pd.DataFrame:
             parameters.update(canonical)
         younger = usual[point.method]
         shown.update(name for name, value in canonical.items() if younger.get(name) != value)
-        record = {**blank, **planned.labels, **canonical, **_ending(rows.get(key)), "key": same.get(key, key)}
+        try:
+            ending = _ending(rows.get(key))
+        except (AttributeError, KeyError, TypeError, ValueError) as exc:
+            raise StoreError(f"the result of point {key[:12]} {DAMAGED} ({exc!r})") from exc
+        record = {**blank, **planned.labels, **canonical, **ending, "key": same.get(key, key)}
         for name, value in record.items():
             if name not in columns:
                 columns[name] = _new_column(name, value, count)
@@ -118,9 +125,12 @@ def _ending(row: Row | None) -> dict[str, Any]:
         found["fl_all"] = result["fl_all"]
     found |= result.get("fluid", {})
     found |= {name: _total(result.get(name)) for name in ("iterations", "inner_iterations")}
-    numbers = {name: math.nan if value is None else value for name, value in found.items()}
+    numbers = {name: math.nan if value is None else float(value) for name, value in found.items()}
+    stop = result.get("stop")
+    if not isinstance(stop, str | None):
+        raise TypeError(f"stop is of type {type(stop).__name__}")
     status, error = (row.status, row.error) if row else ("missing", None)
-    return {**numbers, "stop": result.get("stop"), "status": status, "error": error}
+    return {**numbers, "stop": stop, "status": status, "error": error}
 
 
 def _flows_of(plan: Plan) -> Iterator[PlannedPoint]:
