@@ -10,8 +10,8 @@ from typing import Any
 from fracbench.errors import InputError
 from fracbench.harness.config.records import read_plain, require_name
 
-#: The folders of ``./conf/`` that are read.
-GROUPS = ("protocol", "region", "sequence", "parallel")
+#: The folders of ``./conf/`` that are read, in the order in which Hydra composes them (``conf/config.yaml``).
+GROUPS = ("sequence", "region", "protocol", "parallel")
 _HEADER = re.compile(r"#\s*@package\s+_global_\s*\n")
 #: Files, each with its time and size, so that a cache sees a change.
 Files = tuple[tuple[Path, int, int], ...]
@@ -49,16 +49,16 @@ def check(files: Files, project: Path) -> None:
         if not isinstance(defaults, list):
             raise InputError(f"{path}: `defaults` must be a list, got {defaults!r}")
         for entry in defaults:
-            _check_default(entry, path)
+            _check_default(entry, path, GROUPS[: GROUPS.index(group) + 1])  # Hydra has not come to the others
 
 
-def _check_default(entry: Any, path: Path) -> None:
+def _check_default(entry: Any, path: Path, groups: tuple[str, ...]) -> None:
     if entry == "_self_":
         return
     (word, name), *more = entry.items() if isinstance(entry, Mapping) and entry else [("", entry)]
     group = str(word).removeprefix("override ").strip().removeprefix("/")
-    if more or group not in GROUPS:
-        allowed = ", ".join(f"override /{group}" for group in GROUPS)
+    if more or group not in groups:
+        allowed = ", ".join(f"override /{group}" for group in groups)
         raise InputError(f"{path}: `defaults` may hold {allowed} with a name, got {entry!r}")
     require_name(name, f"`{word}`", str(path))
 

@@ -8,9 +8,11 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
 from fracbench.commands.cli import EXIT_DONE
 from fracbench.errors import InputError
+from fracbench.harness.config import working_folder
 from fracbench.harness.config.compose import group_options, load_config
 from fracbench.harness.config.paths import asset, checkout
 from fracbench.harness.run.plan import make_plan
@@ -127,3 +129,9 @@ def test_the_example_in_the_documents(work):
     (text,) = re.findall(r"```yaml\n(.*?)```", (root / "docs/protocol.md").read_text(encoding="utf-8"), re.DOTALL)
     write("protocol", "my_preset", text)
     assert load_config({"protocol": "my_preset"}).params.alpha == 1.2
+
+
+def test_groups_are_in_the_order_of_composition():
+    """A file chooses those of its own group and of earlier ones; Hydra refuses the others."""
+    defaults = yaml.safe_load(asset("conf/config.yaml").read_text("utf-8"))["defaults"]
+    assert tuple(key for entry in defaults if isinstance(entry, dict) for key in entry) == working_folder.GROUPS
