@@ -18,6 +18,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from concurrent.futures import Future
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from itertools import count
@@ -138,26 +139,16 @@ class SimulatedWorkers:
                 self._begin(worker, due)  # it was there, so that the worker did not wait
 
 
-class SimulatedFuture:
-    """The end of a batch; see `distributed.Future`."""
+class SimulatedFuture(Future[bool]):
+    """The end of a batch, whose result is that the data were there; see `distributed.Future`."""
 
-    status = "pending"
-
-    def add_done_callback(self, call: Callable[[Any], None]) -> None:
-        """Keep a function to be called with the future."""
-        self._call = call
-
-    def end(self) -> None:
-        """Call it."""
-        self.status = "finished"
-        self._call(self)
-
-    def result(self, timeout: float) -> bool:
-        """Return that the data were there."""
-        return True
+    @property
+    def status(self) -> str:
+        """``pending`` or ``finished``."""
+        return "finished" if self.done() else "pending"
 
     def release(self) -> None:
-        """Do nothing: there is no result."""
+        """Do nothing: there is no result to be kept."""
 
 
 class SimulatedClient:
@@ -200,7 +191,7 @@ class SimulatedClient:
             if message[0] == _ROWS and isinstance(message[1], list):
                 self._receive((0.0, message[1]))
             elif message[0] == _ENDED and message[1] in self._futures:
-                self._futures.pop(message[1]).end()
+                self._futures.pop(message[1]).set_result(True)
             else:
                 self._sums = message
                 return
