@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import heapq
+import importlib.util
 import logging
 import subprocess
 import sys
@@ -30,7 +31,7 @@ from typing import Any
 import common
 
 from fracbench.commands.bench import results_stem, write_results
-from fracbench.errors import FracbenchError
+from fracbench.errors import FracbenchError, InputError
 from fracbench.harness.config.experiment import MAIN, Experiment
 from fracbench.harness.run import sweep
 from fracbench.harness.run.batches import Batch
@@ -235,7 +236,8 @@ def _sleep(connection: Connection, address: str, workers: int, seconds: float) -
         time.sleep(seconds)
         mail.put(job.row(_slept(seconds)))
 
-    vars(batches).update(compute=compute, one_at_a_time=nullcontext())
+    batches.compute = compute
+    batches.one_at_a_time = nullcontext()  # type: ignore[assignment]
     logging.disable()
 
     async def serve() -> None:
@@ -304,11 +306,13 @@ def lap(plan: Plan, workers: int, open_pool: Callable[[Store], Pool]) -> dict[st
         tempfile.TemporaryDirectory(prefix="fracbench-", dir=Path.cwd()) as folder,
         Store(Path(folder) / "store.sqlite") as store,
     ):
+        pool = open_pool(store)
         reset_peak()
         started, used = time.perf_counter(), time.process_time()
-        report = sweep.run(plan, store, jobs=1, pool=open_pool(store))
+        report = sweep.run(plan, store, jobs=1, pool=pool)
         seconds, used = time.perf_counter() - started, time.process_time() - used
         peak = peak_mib()
+        del pool  # a command does not hold it either
         store.close()
         reset_peak()
         started = time.perf_counter()
@@ -358,6 +362,10 @@ _NOTE = "busy: share of the workers' time; scheduler_ms: the scheduler's time fo
 
 def measure(arguments: argparse.Namespace) -> None:
     """Measure, print and write the table."""
+    if arguments.seconds <= 0:
+        raise InputError(f"--seconds must be greater than 0, got {arguments.seconds:g}")
+    if (arguments.sleepers or arguments.real) and importlib.util.find_spec("distributed") is None:
+        raise InputError("without Dask take --sleepers 0 --real 0, or pip install 'fracbench[dask]'")
     stem = results_stem(arguments.overrides, "cluster")
     records = [simulated(arguments.points, arguments.workers, arguments.seconds)]
     if arguments.sleepers:

@@ -49,9 +49,10 @@ def run(work: Callable[[argparse.Namespace], None], parser: Parser, argv: Sequen
     parser.set_defaults(parser=parser)
     try:
         arguments = parser.parse_words(argv)
-        for name in ("repeats", "threads", "jobs"):
-            if (number := getattr(arguments, name, 1)) < 1:
-                raise InputError(f"--{name} must be at least 1, got {number}")
+        least = dict.fromkeys(("repeats", "threads", "jobs", "points", "workers"), 1) | {"sleepers": 0, "real": 0}
+        for name, lowest in least.items():
+            if (number := getattr(arguments, name, lowest)) < lowest:
+                raise InputError(f"--{name} must be at least {lowest}, got {number}")
         work(arguments)
     except FracbenchError as exc:
         console.complain(str(exc))

@@ -66,3 +66,22 @@ def test_growth_is_that_of_the_points_in_the_second_half(tmp_path):
     one.samples = [(0.0, 2, 900.0, 900.0), *((0.0, n, 100.0 + n / 1000, 50.0) for n in range(21, 40))]
     assert one.slopes() == pytest.approx((1.0, 0.0), abs=1e-9)
     assert one.grown() == pytest.approx(0.02)  # 20 points
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["--points", "0"], "--points must be at least 1, got 0"),
+        (["--sleepers", "-1"], "--sleepers must be at least 0, got -1"),
+        (["--seconds", "0"], "--seconds must be greater than 0, got 0"),
+    ],
+)
+def test_numbers_out_of_range_are_refused(capsys, words, named):
+    assert cluster.main(words) == 2
+    assert capsys.readouterr().err == f"fracbench: {named}\n"
+
+
+def test_without_dask_the_other_workers_are_named(monkeypatch, capsys):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    assert cluster.main([]) == 2
+    assert "take --sleepers 0 --real 0" in capsys.readouterr().err
