@@ -8,6 +8,7 @@ from pathlib import Path
 import nox
 
 PYTHONS = ("3.11", "3.12", "3.13")
+EXTRAS = ("dev", "peers", "piv")  # all packages that tests ask for
 nox.options.default_venv_backend = "venv"
 nox.options.error_on_missing_interpreters = False
 
@@ -27,11 +28,19 @@ def tests(session: nox.Session) -> None:
 
 
 @nox.session(python=PYTHONS[0])
+def extras(session: nox.Session) -> None:
+    """Test with the optional packages too, in the versions of constraints.txt."""
+    session.install("--constraint", "constraints.txt", f".[{','.join(EXTRAS)}]")
+    test(session)
+
+
+@nox.session(python=PYTHONS[0])
 def lowest(session: nox.Session) -> None:
-    """Test with the lowest version of each direct dependency."""
+    """Test with the lowest version of each direct dependency, the optional packages among them."""
     chosen = str(Path(session.create_tmp(), "lowest.txt").resolve())
     uv = (sys.executable, "-m", "uv", "pip", "compile")
-    words = ("--resolution", "lowest-direct", "--extra", "dev", "--python-version", PYTHONS[0], "--quiet")
+    words = ("--resolution", "lowest-direct", "--python-version", PYTHONS[0], "--quiet")
+    words += tuple(f"--extra={extra}" for extra in EXTRAS)
     session.run(*uv, *words, "--output-file", chosen, "pyproject.toml", external=True)
     session.install("--requirement", chosen)
     # Old versions warn of what their newer dependencies have deprecated.
